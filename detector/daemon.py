@@ -304,9 +304,8 @@ class Daemon:
         self._add_left()
         shared = sum(self._own(sysid) is None for sysid in self.fleet.vehicles)
         if shared > 1 and self._baseline and self._baseline.airframe.scope == "airframe":
-            advice = "choose one with --vehicle, or give each its own in [vehicles.N]"
-            name = self._baseline.airframe.name
-            self._host.say(f"the baseline is of one airframe ({name}), but several fly; {advice}")
+            several = f"the baseline is of one airframe ({self._baseline.airframe.name}), but several fly"
+            self._host.say(f"{several}; choose one with --vehicle, or give each its own in [vehicles.N]")
 
     def _add_left(self) -> None:
         if self._flights is not None:
@@ -314,6 +313,7 @@ class Daemon:
 
     def _beat(self, now: Instant) -> None:
         for sysid, vehicle in self.fleet.vehicles.items():
+            vehicle.session.unix_offset_ns = self._unix_ns() - self._host.now_ns()
             if vehicle.session.working:
                 self._relay.send(self._sender(sysid).beat(vehicle.session.state))
         if self._announces and not self.fleet.vehicles:

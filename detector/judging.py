@@ -19,7 +19,7 @@ from mavdiag.rows.gate import HIDDEN_S, SHOWS_FLIGHT, hidden_flight
 from mavdiag.telemetry import Instant, Series, Telemetry
 from mavdiag.units import NS_PER_S
 
-WARM_S = 10.0  # flight in which a monitor ought to have judged something (our choice: twice the longest warm-up)
+WARM_S = 20.0  # flight in which a monitor ought to have judged something (our choice: twice the longest warm-up)
 ASK_S = 1.0  # between two looks at what the monitors do not judge: accounts cost more than a step (our choice)
 STREAM_S = 5.0  # how long a stream may take to come before its absence is reported (our choice)
 FLOWN_NS = 20 * NS_PER_S  # of what flew last, which shows what is usual in flight (our choice)

@@ -45,6 +45,7 @@ class Session:
         self.settings = settings = spec.settings
         self.state, self.reason = State.WAITING, "the first frame came"  # where it is and why, and what the pilot
         self._short = ""  # is told of it where it is off
+        self.unix_offset_ns = spec.unix_offset_ns  # renewed, for a wall clock may be set late
         self.latest, self.reboots = now, 0  # when anything came from the vehicle last (host)
         self.baseline = spec.baseline  # what it judges by, None until it is learned
         self.judge: Judge | None = None  # the chain at work
@@ -248,7 +249,7 @@ class Session:
         if self.baseline is not None and (self.judge is None or self.judge.baseline is not self.baseline):
             try:
                 check_link(self.baseline, profile=self.spec.profile.name, dt_s=self.baseline.link.dt_s)
-                offset_ns = self.spec.unix_offset_ns
+                offset_ns = self.unix_offset_ns
                 chain = chain_for(self.baseline, self.settings, now.ns + offset_ns if offset_ns else 0)
             except BaselineError as error:
                 return self._off(Trigger.REFUSED, str(error), error.short)
@@ -345,7 +346,8 @@ class Session:
             self._effects += [Note(f"{label} not judged: {why}") for label, why in news]
         why = short = ""
         if now - judge.judged >= IDLE_S and (ground or not unjudged):
-            why = short = f": {ground.text if ground else judge.memory.diagnosis.reason or Reason.GAPS}"
+            held = judge.memory.diagnosis if judge.memory.diagnosis.stage is Stage.NOT_JUDGED else NOTHING_SEEN
+            why = short = f": {ground.text if ground else held.reason}"
         elif unjudged:
             why, short = words_of(unjudged)
         self.reason, self._unjudged = f"monitoring{why}", unjudged

@@ -73,7 +73,6 @@ class Reason(StrEnum):
     OTHER_RATE = "rate not the baseline's"
     NOT_ARMED = "not armed"
     NOT_AIRBORNE = "not airborne"
-    GAPS = "gaps in the data"
 
 
 class Hindrance:

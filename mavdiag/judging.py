@@ -12,7 +12,7 @@ from mavdiag.airframe.parameters import layout_from_parameters
 from mavdiag.baseline import Baseline
 from mavdiag.chain import Chain, ChainOutput, chain_of, suited
 from mavdiag.decision.diagnosis import Change, Event, RotorSpan, Stage
-from mavdiag.decision.words import fault_reason, inspect_words
+from mavdiag.decision.words import MOSTLY, fault_reason, inspect_words
 from mavdiag.errors import BaselineError, InputError, UsageError
 from mavdiag.kernel import Account, Piece, Stretch
 from mavdiag.monitors import by_name
@@ -298,21 +298,21 @@ class _Run:
     def _share(self) -> str:
         share = self.judged_s / self.flown_s if self.flown_s else 0.0
         own = [one for one in self.monitors if one.decides and by_name(one.name).kind is FaultKind.PROPELLER]
-        spoken = ", ".join(one.name for one in own if one.judged_s >= MIN_JUDGED_S)
+        enough = max(MIN_JUDGED_S, MOSTLY * self.judged_s)
+        spoke = [one for one in own if one.judged_s >= (enough if one.not_judged else MIN_JUDGED_S)]
         text = f"judged {self.judged_s:.1f} s of {self.flown_s:.1f} s ({100 * share:.0f} %)"
-        text += f" by {spoken}" if spoken else ""
+        text += f" by {', '.join(one.name for one in spoke)}" if spoke else ""
         text += f", without {self.takeoff_s:.1f} s of take-off or start" if self.takeoff_s >= 0.1 else ""
         why = [f"{one.reason} {self._between(one.begin_s, one.end_s)}" for one in self.hidden]
-        least = self.judged_share
-        if 0 < share < least:
+        if 0 < share < self.judged_share:
             spans = [(begin / NS_PER_S, end / NS_PER_S) for begin, end in self.state.memory.unjudged]
             spans = [span for span in spans if span[1] - span[0] >= MIN_JUDGED_S]
             longest = sorted(spans, key=lambda span: span[0] - span[1])[:MOST_STRETCHES]
             why += [f"nothing judged {self._between(*span)}" for span in sorted(longest)]
-        lacking = [one for one in own if one.judged_s < MIN_JUDGED_S or (one.not_judged and share < least)]
+        lacking = [one for one in own if one not in spoke or (one.not_judged and share < self.judged_share)]
         reasons = ", ".join(f"{one.name} ({one.not_judged or 'too little flight'})" for one in lacking)
         why += [f"not judged by {reasons}"] if reasons else []
-        return f"{text}{': ' if share < least else '; '}{'; '.join(why)}" if why else text
+        return f"{text}{': ' if share < self.judged_share else '; '}{'; '.join(why)}" if why else text
 
     def _when(self, t_ns: int) -> str:
         t_s, begin_s = t_ns / NS_PER_S, self._begin_s

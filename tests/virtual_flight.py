@@ -42,15 +42,11 @@ class GroundStation:
         return self.requests(self.encoder)
 
     @classmethod
-    def by_streams(cls, every_s: float = 10.0, rate_hz: int = 4) -> "GroundStation":
-        """All stream groups by REQUEST_DATA_STREAM: MAVProxy's 4 Hz."""
-        return cls(lambda one: [one.encode(MessageId.REQUEST_DATA_STREAM, 1, 1, 0, rate_hz, 1)], every_s)
-
-    @classmethod
-    def by_intervals(cls, messages: Sequence[int], every_s: float = 10.0, rate_hz: float = 4.0) -> "GroundStation":
-        """Each message by SET_MESSAGE_INTERVAL."""
-        command = (MessageId.COMMAND_LONG, 1, 1, MavCmd.SET_MESSAGE_INTERVAL, 0)
-        return cls(lambda one: [one.encode(*command, msgid, 1e6 / rate_hz) for msgid in messages], every_s)
+    def of(cls, *messages: int) -> "GroundStation":
+        """Each message by SET_MESSAGE_INTERVAL; without any all groups by REQUEST_DATA_STREAM: MAVProxy's 4 Hz."""
+        all_ = (MessageId.REQUEST_DATA_STREAM, 1, 1, 0, 4, 1)
+        each = (MessageId.COMMAND_LONG, 1, 1, MavCmd.SET_MESSAGE_INTERVAL, 0)
+        return cls(lambda one: [one.encode(*each, msgid, 250e3) for msgid in messages] or [one.encode(*all_)])
 
 
 class VirtualFlight:
@@ -65,11 +61,6 @@ class VirtualFlight:
     def t_s(self) -> float:
         """Time since the beginning."""
         return (self._host.ns - self._start_ns) / NS_PER_S
-
-    def share_judged(self, from_s: float) -> float:
-        """Share of the time from a time on in which a monitor that decides about propellers judged."""
-        t_s, judged_s = next(one for one in self.judged_s if one[0] >= from_s)
-        return (self.judged_s[-1][1] - judged_s) / (self.judged_s[-1][0] - t_s)
 
     def monotonic(self) -> float:
         """The virtual clock, in place of `time.monotonic`."""
@@ -131,8 +122,5 @@ def learnt(logs: Sequence[Log], airframe: Airframe | None = None) -> Baseline:
 
 def taught(seeds: Sequence[int], seconds: float, profile: str = "ardupilot", **config: object) -> Baseline:
     """What `healthy_flights` teach, which are flown only where that is not kept yet."""
-
-    def learn_it() -> Baseline:
-        return learnt(healthy_flights(seeds, seconds, profile, None, **config))
-
-    return kept(f"{seeds} {seconds} {profile} {config}", learn_it)
+    key = f"{seeds} {seconds} {profile} {config}"
+    return kept(key, lambda: learnt(healthy_flights(seeds, seconds, profile, None, **config)))

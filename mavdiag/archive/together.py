@@ -57,7 +57,7 @@ class Together:
             return f"{count}: nothing can be said of the rotors, for want of their trim"
         odds = f"{self.evidence.odds:.2g}" if self.evidence.odds < 10 else f"{float(f'{self.evidence.odds:.2g}'):,.0f}"
         if not self.changed:
-            return f"{count}: no rotor is known to have changed, {odds} to 1"
+            return f"{count}: no rotor's trim is known to have changed, {odds} to 1"
         return f"{count}: rotor {' or '.join(map(str, self.rotors))} has changed, {odds} to 1, since {self.since.log}"
 
     @property

@@ -70,6 +70,7 @@ def setup(
     name: Annotated[str | None, Option(metavar="LABEL", help='Its name.  [default: "vehicle" and its id]')] = None,
     vehicle: opt.Vehicle = None,
     signing_key: opt.SigningKey = None,
+    accept: opt.Accept = False,
     yes: Annotated[bool, Option("--yes", help="Ask nothing, and do not start the service.")] = False,
 ) -> None:
     """Set a vehicle up: look at its link, ask for streams, coach healthy flights, learn, write the configuration.
@@ -98,7 +99,8 @@ def setup(
     if options.airframe.name == Airframe().name:
         options = with_airframe(options, None, f"vehicle {sysid}")
     baseline = make_baseline(flights, options, vehicle=sysid)
-    accepted(baseline, f"`mavdiag identify {folder} --accept`; take a flight that is not sound out of {folder}")
+    if not accept:
+        accepted(baseline, f"--accept; take flights that are not sound out of {folder}, and run this again")
     baseline.save(baseline_file)
     settings = config_text(endpoint, sysid, folder.resolve(), signing_key)
     write_atomically(config, settings)

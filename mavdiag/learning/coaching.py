@@ -1,8 +1,8 @@
 """What a pilot is told to fly next, by what the flown rows cover so far.
 
-Each second of flight counts for one task: turning, if the nose turned as fast as the envelope calls covered; else
-moving, if roll or pitch were commanded to turn so fast; else hovering. The tasks are asked for in rounds, a share of
-each in turn: flights, and parts of one, that are each of one kind would look like different vehicles to the guards.
+Each second of flight counts as turning, if the nose turned as fast as the envelope calls covered, and as moving, if
+roll or pitch were commanded to turn so fast; with neither it is hovering. The tasks are asked for in rounds, a share
+of each in turn: flights, and parts of one, that are each of one kind would look like different vehicles to the guards.
 """
 
 from collections.abc import Iterable
@@ -81,4 +81,4 @@ def _seconds(end_ns: IntArray, values: FloatArray) -> tuple[int, ...]:
     both = Condition.YAW_RATE, Condition.COMMANDED_RATE
     turns, moves = (most[:, ORDER.index(one)] > RULES[one].least for one in both)
     known = np.diff(starts, append=len(end_ns)) * BIN_S > 0.5  # of a second that two looks share, one has the most
-    return tuple(int(np.count_nonzero(known & one)) for one in (~turns & ~moves, moves & ~turns, turns))
+    return tuple(int(np.count_nonzero(known & one)) for one in (~turns & ~moves, moves, turns))

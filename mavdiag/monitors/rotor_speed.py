@@ -311,7 +311,7 @@ class RotorSpeed(Monitor[RotorSpeedSpec]):
 
     def begin(self, dt_s: float) -> Begin:
         """No row yet."""
-        spec, n, window = self.spec, self.rotors, _window(dt_s, self.spec.window_s)
+        spec, n, window = self.spec, self.rotors, max(3, round(self.spec.window_s / (_tick(dt_s) * dt_s)))
         head = [n, _tick(dt_s), dt_s, window, spec.spread, *spec.law, *np.ravel(spec.errors)]
         each = np.column_stack((spec.layout.mixing[:, 2], spec.mean, np.array(spec.about)))
         return Begin(np.array([*head, *each.ravel()]), np.zeros(SUMS + 4 * n + 1 + (1 + COLUMNS) * window * n))
@@ -324,10 +324,6 @@ def _at(spec: RotorSpeedSpec, means: FloatArray) -> RotorSpeedSpec:
 
 def _tick(dt_s: float) -> int:
     return max(1, round(TICK_S / dt_s))
-
-
-def _window(dt_s: float, window_s: float = WINDOW_S) -> int:
-    return max(3, round(window_s / (_tick(dt_s) * dt_s)))
 
 
 def _ticks(monitor: RotorSpeed, flight: Sequence[Rows]) -> FloatArray:

@@ -711,7 +711,7 @@ def test_a_change_is_told_with_its_rotor_odds_and_first_flight() -> None:
     assert "8 flights together: rotor 3 has changed, " in str(said)
     assert str(said).endswith(" to 1, since flight 0.tlog")
     assert not together(REFERENCE, healthy).changed
-    assert "no rotor is known to have changed" in str(together(REFERENCE, healthy))
+    assert "no rotor's trim is known to have changed" in str(together(REFERENCE, healthy))
 
 
 def test_new_propellers_begin_anew_and_may_differ() -> None:

@@ -96,7 +96,7 @@ def test_the_action_comes_after_its_delay_is_announced_five_seconds_before_and_c
     assert flight.commands == [(round(began_s + 10.0, 3), MavCmd.NAV_RETURN_TO_LAUNCH)]
     assert flight.texts == [
         (round(began_s + 10.0 - NOTICE_S, 3), "PROP rtl in 5 s unless stick/mode/ack"),
-        (round(began_s + 10.0, 3), "PROP rtl commanded: propeller fault, rotor unknown"),
+        (round(began_s + 10.0, 3), "PROP rtl commanded: propeller fault, motor 3"),
     ]
     flight.held = QUIET
     flight.fly(5.0)

@@ -231,6 +231,11 @@ def test_c1_a_vehicle_that_flies_and_is_not_judged_is_told(reason: str) -> None:
     assert story.state.reason == f"not judged: {reason}"
     story.fly(6.0)
     assert story.state.reason.startswith("monitoring")
+    judge = story.state.judge
+    assert judge is not None
+    judge.judged = Instant(0)  # what judges is none of those that decide
+    story.state._idle(judge, story.now)
+    assert story.state.reason == "monitoring: nothing judged yet"
     later = [one.text for one in story.fly(10.0) if isinstance(one, SendText)]
     assert not any("not judged: it" in text for text in later)
 
@@ -441,10 +446,7 @@ def test_a_drop_is_answered_at_once_each_time_the_rate_had_held() -> None:
     for _ in range(20):
         talk.wait(9.0, Seen(GYRO, 100.0))
         talk.wait(0.2, Seen(GYRO, 4.0))
-    times = [at for at, _ in talk.asked]
-    assert len(times) == 20
-    for number, at in enumerate(times):
-        assert at == pytest.approx(9.0 + 9.2 * number, abs=0.3)
+    assert [at for at, _ in talk.asked] == pytest.approx([9.0 + 9.2 * k for k in range(20)], abs=0.3)
 
 
 @pytest.mark.parametrize("right_s", [0.2, 1.0, 2.5, 4.5])
