@@ -58,7 +58,8 @@ def finding_words(finding: Diagnosis, most: int = 80) -> str:
 
 def motors_words(finding: Diagnosis) -> str:
     """The rotors that were named: "motor 1", "motors 1,4"; what else is to be looked at where none was."""
-    rotors = sorted({finding.rotor, *(span.rotor for span in finding.rotors)} - {None})
+    told = (finding.rotor, *(span.rotor for span in finding.rotors))
+    rotors = sorted({rotor for rotor in told if rotor is not None})
     if len(rotors) > MOTORS_MOST:
         return f"{len(rotors)} motors"
     if rotors:
