@@ -9,8 +9,10 @@ The figures are `Course`s: the statistic of a monitor once a second. Three thing
     physics        more unbalance than ISO 1940-1 G40 permits, a rotor trimmed far from the others, or a calm flight
                    that does not follow its set-points
 
-The least damage that is noticed in 95 % of the seconds lifts the 5 % quantile of the courses to the threshold of
-another session: the rise of a rotor that lost the share e of its thrust (`airframe.trim`), or an unbalance U:
+Seconds are compared in conditions that both sides had, but for what counts as none (`thresholds.envelope`): a flight
+that turns its nose says nothing of one that does not. The least damage that is noticed in 95 % of the seconds lifts
+the 5 % quantile of the courses to the threshold of another session: the rise of a rotor that lost the share e of its
+thrust (`airframe.trim`), or an unbalance U:
 
     v^2 = v_healthy^2 + x^2,   x = U Omega^2/m      [m/s^2]
 """
@@ -18,7 +20,7 @@ another session: the rise of a rotor that lost the share e of its thrust (`airfr
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -31,12 +33,14 @@ from mavdiag.errors import IdentificationError
 from mavdiag.learning.flights import LearntFlight
 from mavdiag.learning.teaching import Finding
 from mavdiag.monitors import monitor_of
+from mavdiag.monitors.conditions import COUNT, measure
 from mavdiag.monitors.fitting import judged_together
 from mavdiag.rows.windows import window_rows
-from mavdiag.telemetry import FloatArray, IntArray
+from mavdiag.telemetry import BoolArray, FloatArray, IntArray
+from mavdiag.thresholds.envelope import ORDER, RULES
 from mavdiag.units import G_MM_PER_KG_M, NS_PER_S, RPM
 
-STEADY = ("rotor_signature", "unbalance", "vibration_level")  # alike in every healthy flight, whatever is flown
+STEADY = ("rotor_signature", "unbalance", "vibration_level")  # alike in every healthy flight in like conditions
 TRIMS = ("rotor_trim", "trim_step")
 PART_S = 5  # of a course: shorter parts have no median to compare
 SPLITS = 200  # of a course that are tried
@@ -54,6 +58,8 @@ MISSED = 0.05  # share of the seconds in which it may go unnoticed
 LOSS_LIMITS = (0.10, 0.20, 1 / 3)  # of a rotor's thrust: grades A, B (both our choice), C
 VIBRATION_LIMITS_M_S2 = (3.0, 10.0, 30.0)  # A, B, C (our choice); above 30 ArduPilot calls it too much to fly with
 GRADES: tuple[Grade, ...] = ("A", "B", "C", "D")
+NOTHING = np.array([RULES[one].least for one in ORDER])  # differences of conditions that are none
+_Flown: TypeAlias = tuple[FloatArray, FloatArray]  # figures of seconds, and the conditions of these
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,6 +69,7 @@ class Course:
     spec: the monitor's fit; the row period [s] of the accelerometer. number, log: of which flight. t_s: (k,).
     value: (k,) the statistic; the rms of the second differences of the specific force along x and y [m/s^2].
     rises: (k, n) of the n rotors' commands, by a monitor of the trim [fraction of hover]; (k, 0) by another.
+    conditions: (k, COUNT) of the bins that these seconds lie in (`monitors.conditions`); nan where unknown.
     """
 
     name: str
@@ -72,6 +79,7 @@ class Course:
     t_s: FloatArray
     value: FloatArray
     rises: FloatArray
+    conditions: FloatArray
 
     @property
     def figures(self) -> FloatArray:
@@ -90,6 +98,9 @@ def courses(specs: Sequence[Any], flights: Sequence[LearntFlight]) -> tuple[Cour
     """
     used, found = [spec for spec in specs if spec.kind in (*STEADY, *TRIMS)], list[Course]()
     for number, flight in enumerate(flights):
+        bins = list(measure(flight.rows))
+        ends_s = np.concatenate([np.empty(0), *(one.end_ns / NS_PER_S for one in bins)])
+        values = np.concatenate([np.empty((0, COUNT)), *(one.values for one in bins), np.full((1, COUNT), np.nan)])
         parts: list[list[FloatArray]] = [[] for _ in used]  # time, value, rises of the first valid value of each second
         for statistics in judged_together([monitor_of(spec) for spec in used], flight.rows):
             for part, spec, one in zip(parts, used, statistics, strict=True):
@@ -100,12 +111,18 @@ def courses(specs: Sequence[Any], flights: Sequence[LearntFlight]) -> tuple[Cour
         for part, spec in zip(parts, used, strict=True):
             rows = np.concatenate(part)
             rows = rows[np.unique(rows[:, 0] // 1, return_index=True)[1]]
-            found.append(Course(spec.kind, spec, number, flight.label.name, rows[:, 0], rows[:, 1], rows[:, 2:]))
-    return (*found, *(_shaking(number, flight) for number, flight in enumerate(flights)))
+            flown = values[np.searchsorted(ends_s, rows[:, 0], side="right")]
+            found.append(Course(spec.kind, spec, number, flight.label.name, rows[:, 0], rows[:, 1], rows[:, 2:], flown))
+        t_s, value, dt_s = _shaking(flight)
+        flown = values[np.searchsorted(ends_s, t_s, side="right")]
+        found.append(
+            Course("accelerometer", dt_s, number, flight.label.name, t_s, value, np.empty((len(t_s), 0)), flown)
+        )
+    return tuple(found)
 
 
-def _shaking(number: int, flight: LearntFlight) -> Course:
-    """Of the accelerometer: all links that are not low-passed carry a rotor's line somewhere, folded or not."""
+def _shaking(flight: LearntFlight) -> tuple[FloatArray, FloatArray, float]:
+    """Times, rms and row period: all links that are not low-passed carry a rotor's line somewhere, folded or not."""
     t_s, value, dt_s = [np.empty(0)], [np.empty(0)], 0.0
     for block in (rows.block for rows in flight.rows):
         dt_s, second = block.dt_s, window_rows(1.0, block.dt_s)
@@ -117,10 +134,7 @@ def _shaking(number: int, flight: LearntFlight) -> Course:
         whole = share > 0.5
         t_s.append(block.t_ns[: count * second : second][whole] / NS_PER_S)
         value.append(np.sqrt(parts.mean(axis=1)[whole] / share[whole]))
-    times = np.concatenate(t_s)
-    return Course(
-        "accelerometer", dt_s, number, flight.label.name, times, np.concatenate(value), np.empty((len(times), 0))
-    )
+    return np.concatenate(t_s), np.concatenate(value), dt_s
 
 
 def suspicions(found: Sequence[Course], airframe: Airframe) -> tuple[Finding, ...]:
@@ -132,9 +146,9 @@ def suspicions(found: Sequence[Course], airframe: Airframe) -> tuple[Finding, ..
 
 
 def _change(course: Course) -> Finding | None:
-    """The clearest change within a flight."""
+    """The clearest change within a flight, of what was flown alike before and after."""
     x, trim, (least, floor) = course.figures, course.name in TRIMS, course.limits(CHANGE_RISE, CHANGE_RATIO)
-    best: tuple[float, float, int] = (0.0, 0.0, 0)
+    sure_of = list[tuple[float, int, int]]()
     if len(x) < 2 * PART_S or np.ptp(x, axis=0).max(initial=0.0) < least:  # no two medians lie further apart
         return None
     splits = np.unique(np.linspace(PART_S, len(x) - PART_S, SPLITS).astype(np.int64))
@@ -144,14 +158,29 @@ def _change(course: Course) -> Finding | None:
         at, before, after, small = splits[i], befores[i], afters[i], smalls[i]
         shift, left = after - before, np.abs(np.concatenate((x[:at] - before, x[at:] - after)))
         sure = np.where(small, 0.0, np.abs(shift) / np.hypot(1.4826 * np.median(left, axis=0), floor))
-        j = int(sure.argmax())
-        best = max(best, (float(sure[j]), float(shift[j]), int(at)))
-    sure_of, moved, at = best
-    if sure_of < SPREADS:
-        return None
-    much = f"a motor is commanded {100 * moved:+.0f} %" if trim else f"{math.exp(moved):.2g} times what it was before"
-    text = f"from {course.t_s[at]:.0f} s on: {course.name}: {much}: something changed in flight"
-    return Finding(course.number, course.log, text)
+        if sure.max() >= SPREADS:
+            sure_of.append((float(sure.max()), int(at), int(sure.argmax())))
+    for _, at, j in sorted(sure_of, reverse=True):
+        later, earlier = _alike((x[at:], course.conditions[at:]), [(x[:at], course.conditions[:at])])
+        moved = float(np.median(later[:, j]) - np.median(earlier[0][:, j])) if earlier and len(later) >= PART_S else 0.0
+        if (abs(moved) if trim else moved) >= least:
+            much = f"{math.exp(moved):.2g} times what it was before"
+            much = f"a motor is commanded {100 * moved:+.0f} %" if trim else much
+            text = f"from {course.t_s[at]:.0f} s on: {course.name}: {much}: something changed in flight"
+            return Finding(course.number, course.log, text)
+    return None
+
+
+def _alike(own: _Flown, others: Sequence[_Flown]) -> tuple[FloatArray, list[FloatArray]]:
+    """The figures of a part in conditions that others had, too, and of those others that had its own for `PART_S`."""
+
+    def near(conditions: FloatArray, had: FloatArray) -> BoolArray:
+        low, high = (end.reduce(had, axis=0) for end in (np.fmin, np.fmax))
+        return np.asarray(~((conditions > high + NOTHING) | (conditions < low - NOTHING)).any(axis=1), dtype=np.bool_)
+
+    shared = [(x[at], had) for x, had in others if np.count_nonzero(at := near(had, own[1])) >= PART_S]
+    had = [conditions for _, conditions in shared]
+    return own[0][near(own[1], np.concatenate(had)) if had else slice(0)], [x for x, _ in shared]
 
 
 def _medians(x: FloatArray, counts: IntArray) -> FloatArray:
@@ -167,20 +196,29 @@ def _odd(found: Sequence[Course]) -> Iterator[Finding]:
         same, trim = [one for one in found if one.name == name and len(one.t_s) >= PART_S], name in TRIMS
         if len(same) < 2:
             continue
-        least, floor = same[0].limits(ODD_RISE, ODD_RATIO)
-        middle, apart = np.array([np.median(one.figures, axis=0) for one in same]), list[float]()
-        for number in range(len(same)):
-            rest = np.delete(middle, number, axis=0)
-            off = middle[number] - np.median(rest, axis=0)
-            spread = np.hypot(1.4826 * np.median(np.abs(rest - np.median(rest, axis=0)), axis=0), floor)
-            off = np.where(np.abs(off) >= np.maximum(least, SPREADS * spread), off, 0.0)
-            apart.append(float(off[np.abs(off).argmax()]))
-        number = int(np.argmax(np.abs(apart) if trim else apart))
-        if abs(apart[number]) < least or (apart[number] < 0 and not trim):
-            continue
-        off_by = f"{100 * apart[number]:+.0f} % of hover" if trim else f"{math.exp(apart[number]):.2g} times"
-        text = f"{name}: {off_by} against the other flights: is a propeller broken in one of them?"
-        yield Finding(same[number].number, same[number].log, text)
+        limits, middle = same[0].limits(ODD_RISE, ODD_RATIO), [np.median(one.figures, axis=0) for one in same]
+        apart = [_apart(own, [*middle[:i], *middle[i + 1 :]], *limits) for i, own in enumerate(middle)]
+        flown = [(one.figures, one.conditions) for one in same]
+        for number in np.argsort(-np.abs(apart)).tolist() if trim else np.argsort(apart)[::-1].tolist():
+            if apart[number] == 0.0 or (apart[number] < 0 and not trim):
+                break
+            own, others = _alike(flown[number], [*flown[:number], *flown[number + 1 :]])
+            if others and len(own) >= PART_S:
+                off = _apart(np.median(own, axis=0), [np.median(x, axis=0) for x in others], *limits)
+                if off > 0.0 or (off < 0.0 and trim):
+                    off_by = f"{100 * off:+.0f} % of hover" if trim else f"{math.exp(off):.2g} times"
+                    text = f"{name}: {off_by} against the other flights: is a propeller broken in one of them?"
+                    yield Finding(same[number].number, same[number].log, text)
+                    break
+
+
+def _apart(own: FloatArray, others: Sequence[FloatArray], least: float, floor: float) -> float:
+    """The figure that lies furthest from the others' median, by how much; 0 where none does by enough."""
+    rest = np.array(others)
+    off = own - np.median(rest, axis=0)
+    spread = np.hypot(1.4826 * np.median(np.abs(rest - np.median(rest, axis=0)), axis=0), floor)
+    off = np.where(np.abs(off) >= np.maximum(least, SPREADS * spread), off, 0.0)
+    return float(off[np.abs(off).argmax()])
 
 
 def _implausible(course: Course, found: Sequence[Course], airframe: Airframe) -> str:
