@@ -24,7 +24,7 @@ class InputError(MavdiagError):
 class BaselineError(InputError):
     """A baseline cannot be loaded or does not fit this vehicle or link; the message names the field.
 
-    short: the same for a pilot, in 40 characters.
+    short: the same for a pilot, in 40 characters, where it is told apart from the message.
     """
 
     def __init__(self, message: str, short: str = "") -> None:

@@ -33,7 +33,7 @@ from mavdiag.errors import IdentificationError
 from mavdiag.learning.flights import LearntFlight
 from mavdiag.learning.teaching import Finding
 from mavdiag.monitors import monitor_of
-from mavdiag.monitors.conditions import COUNT, measure
+from mavdiag.monitors.conditions import COUNT, bins_of
 from mavdiag.monitors.fitting import judged_together
 from mavdiag.rows.windows import window_rows
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray
@@ -97,8 +97,7 @@ def courses(specs: Sequence[Any], flights: Sequence[LearntFlight]) -> tuple[Cour
     specs: fits to all the flights.
     """
     used, found = [spec for spec in specs if spec.kind in (*STEADY, *TRIMS)], list[Course]()
-    for number, flight in enumerate(flights):
-        bins = list(measure(flight.rows))
+    for number, (flight, bins) in enumerate(zip(flights, bins_of([one.rows for one in flights]), strict=True)):
         ends_s = np.concatenate([np.empty(0), *(one.end_ns / NS_PER_S for one in bins)])
         values = np.concatenate([np.empty((0, COUNT)), *(one.values for one in bins), np.full((1, COUNT), np.nan)])
         parts: list[list[FloatArray]] = [[] for _ in used]  # time, value, rises of the first valid value of each second
@@ -148,7 +147,7 @@ def suspicions(found: Sequence[Course], airframe: Airframe) -> tuple[Finding, ..
 def _change(course: Course) -> Finding | None:
     """The clearest change within a flight, of what was flown alike before and after."""
     x, trim, (least, floor) = course.figures, course.name in TRIMS, course.limits(CHANGE_RISE, CHANGE_RATIO)
-    sure_of = list[tuple[float, int, int]]()
+    clear = list[tuple[float, int, int]]()  # how clear, where, and which figure
     if len(x) < 2 * PART_S or np.ptp(x, axis=0).max(initial=0.0) < least:  # no two medians lie further apart
         return None
     splits = np.unique(np.linspace(PART_S, len(x) - PART_S, SPLITS).astype(np.int64))
@@ -159,8 +158,8 @@ def _change(course: Course) -> Finding | None:
         shift, left = after - before, np.abs(np.concatenate((x[:at] - before, x[at:] - after)))
         sure = np.where(small, 0.0, np.abs(shift) / np.hypot(1.4826 * np.median(left, axis=0), floor))
         if sure.max() >= SPREADS:
-            sure_of.append((float(sure.max()), int(at), int(sure.argmax())))
-    for _, at, j in sorted(sure_of, reverse=True):
+            clear.append((float(sure.max()), int(at), int(sure.argmax())))
+    for _, at, j in sorted(clear, reverse=True):
         later, earlier = _alike((x[at:], course.conditions[at:]), [(x[:at], course.conditions[:at])])
         moved = float(np.median(later[:, j]) - np.median(earlier[0][:, j])) if earlier and len(later) >= PART_S else 0.0
         if (abs(moved) if trim else moved) >= least:

@@ -5,7 +5,7 @@ of the next one a bin is whole.
 """
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +13,8 @@ import numpy as np
 
 import mavdiag.rows.block as col
 from mavdiag.jit import cached, jit
-from mavdiag.monitors.base import ROOM, parted
+from mavdiag.monitors.base import ROOM, Flights, parted
+from mavdiag.monitors.fitting import of_each
 from mavdiag.rows.conditions import BIN_S, Condition
 from mavdiag.rows.front import Rows
 from mavdiag.telemetry import FloatArray, IntArray
@@ -172,7 +173,12 @@ def measure(flight: Sequence[Rows]) -> Iterator[Conditions]:
         del rows, columns
 
 
-def covered_by(flights: Iterable[Sequence[Rows]]) -> tuple[Covered, ...]:
+def bins_of(flights: Flights) -> list[list[Conditions]]:
+    """The bins of each flight, from memory where the flight keeps them."""
+    return of_each(flights, measure, lambda flight: list(measure(flight)))
+
+
+def covered_by(flights: Flights) -> tuple[Covered, ...]:
     """What flights covered, of the conditions that their links carry."""
-    bins = [one.values for flight in flights for one in measure(flight)]
+    bins = [one.values for each in bins_of(flights) for one in each]
     return covered_from(np.concatenate([np.empty((0, COUNT)), *bins]))
