@@ -100,9 +100,11 @@ def run(app: typer.Typer, name: str) -> NoReturn:
         _silence(sys.stdout)
         where = "its path and its disk" if error.filename else "where the output goes, and its disk"
         code, told = ERROR, f"{_line(str(error))}; check {where}"
-    except Exception as error:  # a fault of ours: 1 would be a verdict
-        traceback.print_exc()
-        raise SystemExit(ERROR) from error
+    except Exception as error:
+        if not isinstance(error.__cause__, KeyboardInterrupt):  # a fault of ours: 1 would be a verdict
+            traceback.print_exc()
+            raise SystemExit(ERROR) from error
+        code, told = INTERRUPTED, "stopped"  # compiled code makes a SystemError of it
     try:
         if told:
             say(f"{name}: {told}", err=True)
