@@ -8,6 +8,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -282,7 +283,14 @@ def test_what_daemon_commands_and_baselines_say(capsys: pytest.CaptureFixture[st
         """Fail."""
         raise InputError(f"{EVIL}.tlog: cannot be read")
 
-    with pytest.raises(SystemExit) as caught:
+    @app.command()
+    def stopped() -> None:
+        """Ctrl-C within compiled code."""
+        raise SystemError from KeyboardInterrupt()
+
+    with pytest.raises(SystemExit, match="130"), patch("sys.argv", [EVIL, "stopped"]):
+        commandline.run(app, EVIL)
+    with pytest.raises(SystemExit) as caught, patch("sys.argv", [EVIL, "fail"]):
         commandline.run(app, EVIL)
     assert caught.value.code == 2
     sound = baseline_for()
