@@ -65,19 +65,26 @@ def cut_to_share(lengths: Sequence[int], most: int, least: int = 1) -> list[int]
 
 
 def held_law(
-    y: FloatArray, x: FloatArray, prior: FloatArray, sd: FloatArray, floor: float, window: int
+    y: FloatArray, x: FloatArray, prior: FloatArray, covariance: FloatArray, floor: float, window: int
 ) -> tuple[FloatArray, FloatArray]:
-    """b of y = x b, (n,) and (n, k), by least squares with a prior, (k,), held against it; and its covariance, (k, k).
+    """b of y = x b, (n,) and (n, k), by least squares with a prior, (k,) and (k, k); and its covariance, (k, k).
 
     floor: the least noise that is believed. window: how many ticks count as one.
     """
-    trust = np.diag(sd**-2.0)
-    law, covariance = prior, np.diag(sd**2.0)
+    law, P = prior, covariance
     for _ in range(3):  # the noise is what the law before leaves
         noise = max(float(np.square(y - x @ law).sum()) / max(len(y), 1), floor**2) * window
-        covariance = np.asarray(np.linalg.inv(x.T @ x / noise + trust), dtype=np.float64)
-        law = covariance @ (x.T @ y / noise + trust @ prior)
-    return law, covariance
+        law, P = updated(prior, covariance, y, x, noise)
+    return law, P
+
+
+def updated(
+    prior: FloatArray, covariance: FloatArray, y: FloatArray, x: FloatArray, noise: float
+) -> tuple[FloatArray, FloatArray]:
+    """Mean and covariance of b after y = x b, (n,) and (n, k), with so much noise (variance)."""
+    trust = np.linalg.inv(covariance)
+    P = np.asarray(np.linalg.inv(x.T @ x / noise + trust), dtype=np.float64)
+    return P @ (x.T @ y / noise + trust @ prior), P
 
 
 def variance_law(squares: FloatArray, busy: FloatArray) -> tuple[float, float]:

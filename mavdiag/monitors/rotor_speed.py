@@ -272,7 +272,7 @@ class RotorSpeed(Monitor[RotorSpeedSpec]):
         means = [flight.mean(axis=0) for flight in seen]
         apart = np.concatenate([flight - mean for flight, mean in zip(seen, means, strict=True)])
         y, x = apart[:, :, 0].ravel(), apart[:, :, 1:].reshape(-1, COLUMNS)
-        law, errors = held_law(y, x, LAW, LAW_SD, FLOOR, 1)
+        law, errors = held_law(y, x, LAW, np.diag(LAW_SD**2), FLOOR, 1)
         with_all = FLOOR**2 / np.maximum(np.square(x).mean(axis=0), FLOOR**2 / LAW_SD**2)
         errors = errors + np.diag(with_all)
         errors_of_law = three(errors[0]), three(errors[1]), three(errors[2])

@@ -36,7 +36,7 @@ from mavdiag.airframe.layout import RotorLayout
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.jit import allocating, cached, jit
 from mavdiag.monitors.base import Begin, Feature, Flights, LearnContext, Monitor, RotorEvidence, segments
-from mavdiag.monitors.fitting import held_law, of_each, three
+from mavdiag.monitors.fitting import held_law, of_each, three, updated
 from mavdiag.monitors.spec import Positive, spec
 from mavdiag.rows.block import Floats, Ints
 from mavdiag.rows.conditions import TRIM_CONDITIONS
@@ -54,6 +54,7 @@ TURN_TRIM = 0.02
 # choice). b2 is I_zz over weight and drag arm of the rotors, 0.04 for a QDrone 2 and an ArduCopter of 3 kg; b1 is 0.11
 # for the latter; b3 is the spin that a unit of yaw trim gives the rotors over the torque that it makes.
 PRIOR, PRIOR_SD = np.array([0.0, 0.04, 0.0]), np.array([0.1, 0.04, 0.2])
+APART = 0.07, 0.07, 0.012  # of roll, pitch and yaw trim, between flights of other days (sd; METHOD section 5)
 # Places in the parameters: 1 for torque commands; 1 where the pull is felt; how many rotors; parts of a tick, rows of a
 # part, row period, ticks of a window; of the spec pull, turn, variance of the pull, mean and spread; gains of torque
 # commands; what a monitor has of its own; the sums of the unmixing C, C itself, (3, rotors), and 1/max |c_k|.
@@ -499,17 +500,21 @@ def _tick_shape(dt_s: float) -> tuple[int, int]:
 def _with_laws(spec: Spec, flights: Sequence[Sequence[FloatArray]], dt_s: float) -> Spec:
     """With k and b of healthy flights, each as `TrimMonitor._walked` gives it, and their errors.
 
-    Usable ticks about their flight's mean, so that no session's offset counts, but for the first one after a break.
+    Usable ticks, but for the first one after a break, about their flight's mean; and the means of the flights, between
+    which other days lie, about that of all. Ticks that turn to and fro at one frequency tell b1 from b3 by these alone.
     """
-    means, window = [np.empty((0, FIGURES))], max(1, round(WINDOW_S / (math.prod(_tick_shape(dt_s)) * dt_s)))
+    found, window = [np.empty((0, FIGURES))], max(1, round(WINDOW_S / (math.prod(_tick_shape(dt_s)) * dt_s)))
     for flight in flights:
         usable = [segment[col.TRACE : col.TRACE + FIGURES, segment[col.TRACE + RUNS] > 1].T for segment in flight]
         if sum(map(len, usable)):
-            means.append(np.concatenate(usable) - np.concatenate(usable).mean(axis=0))
-    ticks = np.concatenate(means)
+            found.append(np.concatenate(usable))
+    means = np.array([each.mean(axis=0) for each in found[1:]]).reshape(-1, FIGURES)
+    ticks = np.concatenate([found[0], *(each - mean for each, mean in zip(found[1:], means, strict=True))])
+    means -= means.mean(axis=0) if len(means) else 0.0
 
     def fitted(axis: int, of: list[int], prior: FloatArray, sd: FloatArray) -> tuple[FloatArray, FloatArray]:
-        return held_law(ticks[:, axis], ticks[:, of], prior, sd, trims.YAW_FLOOR, window)
+        known = updated(prior, np.diag(sd**2.0), means[:, axis], means[:, of], APART[axis] ** 2)
+        return held_law(ticks[:, axis], ticks[:, of], *known, trims.YAW_FLOOR, window)
 
     law, P = fitted(2, [5, 7, 8], PRIOR, PRIOR_SD)
     if law[2] < 0.0:  # rotors without inertia where that is the best one: a command that answers noise

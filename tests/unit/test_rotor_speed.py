@@ -102,10 +102,10 @@ def test_the_law_and_its_errors_are_those_of_least_squares() -> None:
     rng = np.random.default_rng(3)
     x = rng.normal(0, 0.1, (4000, 4, 3))
     y = x @ np.array([0.7, 0.01, 0.001]) + rng.normal(0, 0.01, (4000, 4))
-    law, errors = held_law(y.ravel(), x.reshape(-1, 3), LAW, LAW_SD, FLOOR, 1)
+    law, errors = held_law(y.ravel(), x.reshape(-1, 3), LAW, np.diag(LAW_SD**2), FLOOR, 1)
     np.testing.assert_allclose(law[:2], [0.7, 0.01], atol=4 * np.sqrt(errors[0, 0]))
     assert errors[0, 0] == pytest.approx(0.01**2 / (16000 * 0.1**2), rel=0.05)
-    still, unsure = held_law(np.zeros(40), np.zeros((40, 3)), LAW, LAW_SD, FLOOR, 1)
+    still, unsure = held_law(np.zeros(40), np.zeros((40, 3)), LAW, np.diag(LAW_SD**2), FLOOR, 1)
     np.testing.assert_allclose(still, LAW)
     assert unsure[0, 0] == pytest.approx(0.15**2)
 

@@ -1,6 +1,7 @@
 """The trim monitor: amplitude and rotor by least squares, what it must not react to, refusals."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -139,21 +140,23 @@ def test_why_it_cannot_judge() -> None:
         fit([[example_rows(300, actuator=outputs[:300])]], "x")
 
 
-def turning(seconds: float, seed: int, law: Three, nose: float = 1.0) -> Rows:
+def turning(seconds: float, seed: int, law: Three, nose: float = 1.0, waves: Sequence[float] = (0.6, 1.7)) -> Rows:
     """A vehicle whose nose turns to and fro, commanded by m + b3 dm/dt = b1 r + b2 dr/dt of hover."""
     rng, n = np.random.default_rng(seed), round(seconds / 0.01)
-    t, waves, (b1, b2, b3) = 0.01 * np.arange(n), np.array([0.6, 1.7]), law
-    turn = nose * np.exp(1j * np.outer(t, waves))  # the law is linear: each wave passes it alone
+    t, waves, (b1, b2, b3) = 0.01 * np.arange(n), np.array(waves), law
+    turn = nose * np.exp(1j * (np.outer(t, waves) + 1.0))  # the law is linear: each wave passes it alone
     rate = np.stack((0 * t, 0 * t, turn.imag.sum(axis=1)), axis=1) + rng.normal(0.0, 0.01, (n, 3))
     yaw = (turn * (b1 + 1j * waves * b2) / (1 + 1j * waves * b3)).imag.sum(axis=1)
     w = np.outer(yaw, layout_named("x").mixing[:, 2])
     return example_rows(n, rate=rate, actuator=0.5 * (1 + w) + rng.normal(0.0, 0.002, (n, 4)))
 
 
-@pytest.mark.parametrize("law", [(0.1, 0.05, 0.0), (0.0, 0.03, 0.2), (-0.05, 0.08, 0.1)])
+@pytest.mark.parametrize("law", [(0.1, 0.05, 0.0), (0.0, 0.03, 0.2), (-0.05, 0.08, 0.1), (0.0, 0.04, 0.17)])
 def test_what_a_turn_takes_is_learnt_and_taken_off(law: Three) -> None:
     spec = fit([[turning(120, 1, law)]], "x")
     np.testing.assert_allclose(spec.turn, law, atol=0.02)
+    round_a_square = [[turning(120, seed, law, nose, (0.0, 3.1))] for seed, nose in ((3, 0.0), (4, 1.0))]
+    np.testing.assert_allclose(fit(round_a_square, "x").turn[:2], law[:2], atol=0.015)  # by the means
     assert spec.spread[2] < 0.003
     calm = read(spec, [turning(60, 2, law)])
     assert calm.value[calm.valid].max() < RotorTrim.prior.least
