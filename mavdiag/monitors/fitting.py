@@ -65,26 +65,39 @@ def cut_to_share(lengths: Sequence[int], most: int, least: int = 1) -> list[int]
 
 
 def held_law(
-    y: FloatArray, x: FloatArray, prior: FloatArray, covariance: FloatArray, floor: float, window: int
+    y: FloatArray,
+    x: FloatArray,
+    prior: FloatArray,
+    covariance: FloatArray,
+    floor: float,
+    window: int,
+    held: float = 0.0,
 ) -> tuple[FloatArray, FloatArray]:
     """b of y = x b, (n,) and (n, k), by least squares with a prior, (k,) and (k, k); and its covariance, (k, k).
 
-    floor: the least noise that is believed. window: how many ticks count as one.
+    floor: the least noise that is believed. window: how many ticks count as one. held: see `updated`.
     """
     law, P = prior, covariance
     for _ in range(3):  # the noise is what the law before leaves
         noise = max(float(np.square(y - x @ law).sum()) / max(len(y), 1), floor**2) * window
-        law, P = updated(prior, covariance, y, x, noise)
+        law, P = updated(prior, covariance, y, x, noise, held)
     return law, P
 
 
 def updated(
-    prior: FloatArray, covariance: FloatArray, y: FloatArray, x: FloatArray, noise: float
+    prior: FloatArray, covariance: FloatArray, y: FloatArray, x: FloatArray, noise: float, held: float = 0.0
 ) -> tuple[FloatArray, FloatArray]:
-    """Mean and covariance of b after y = x b, (n,) and (n, k), with so much noise (variance)."""
-    trust = np.linalg.inv(covariance)
-    P = np.asarray(np.linalg.inv(x.T @ x / noise + trust), dtype=np.float64)
-    return P @ (x.T @ y / noise + trust @ prior), P
+    """Mean and covariance of b after y = x b, (n,) and (n, k), with so much noise (variance).
+
+    held: rms of what may go with any column of x in all rows: they tell b + c, c ~ N(0, D), D = held^2/mean(x^2), with
+    the information I = x'x/noise, so b with (I^-1 + D)^-1 = (1 + I D)^-1 I.
+    """
+    trust, told = np.linalg.inv(covariance), x.T @ x / noise
+    squares = np.square(x).sum(axis=0)
+    D = np.divide(held**2 * len(x), squares, out=np.zeros(len(prior)), where=squares > 0.0)
+    share = np.linalg.inv(np.eye(len(prior)) + told * D)
+    P = np.asarray(np.linalg.inv(share @ told + trust), dtype=np.float64)
+    return P @ (share @ (x.T @ y / noise) + trust @ prior), P
 
 
 def variance_law(squares: FloatArray, busy: FloatArray) -> tuple[float, float]:

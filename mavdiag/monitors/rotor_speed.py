@@ -9,22 +9,22 @@ u: its output 0..1, V: the battery's voltage, k_q w^2: the drag, e: share of the
 to 0.25 of small motors in hover (estimate). A blade that lost a piece has less drag, so its rotor turns faster for its
 command; one that is bent or fouled has more. The voltage is common to all rotors and cancels:
 
-    y_j = ln w_j - mean_k ln w_k,    v_j = ln u_j - mean_k ln u_k,    x_j = (v_j, dv_j/dt, s_j r),
+    y_j = ln w_j - mean_k ln w_k,    v_j = ln u_j - mean_k ln u_k,    x_j = (v_j, dv_j/dt),
     y_j = a_j + (x_j - x0_j)' b
 
 A rotor lags behind its command, and what an ESC tells behind the rotor: the mean of v(t - lag) over a tick is that of v
-less the lag times what v rises by from end to end of the tick, over its length. s_j r: yaw effect of rotor j
-(`airframe.layout`) and yaw rate, for an ESC tells the speed against the frame. b is common to all rotors and fitted to
-ticks by least squares with a prior. P is its covariance, and of each of x FLOOR^2/mean(x^2) more: manoeuvres repeat, so
-what a law leaves that is no larger than FLOOR may go with one of x in all flights (a battery that sags with the thrust,
-the other lags). So flights in which x varies tell what wind makes of it, and calm ones leave it open.
+less the lag times what v rises by from end to end of the tick, over its length. b is common to all rotors and fitted to
+ticks by least squares with a prior; P is its covariance. Manoeuvres repeat, so what is no larger than FLOOR may go with
+one of x in all ticks (a battery that sags with the thrust, the other lags): flights in which x varies tell what wind
+makes of it, and calm ones leave it open. An ESC tells the speed against the frame, whose turns are 2 e/(1 + e)/w of a
+rotor's speed, 0.0003 at 1 rad/s: left out, for it cannot be told from a lag in turns to and fro.
 """
 
 import math
 from collections.abc import Sequence
 from dataclasses import replace
 from types import MappingProxyType
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import numpy as np
 
@@ -34,12 +34,12 @@ from mavdiag.airframe.trim import MIN_OUTPUT
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.jit import cached, jit
 from mavdiag.monitors.base import Begin, Flights, LearnContext, Monitor, RotorEvidence
-from mavdiag.monitors.fitting import held_law, of_each, three, traced
+from mavdiag.monitors.fitting import held_law, of_each, traced
 from mavdiag.monitors.spec import Positive, spec
 from mavdiag.rows.block import Floats, Ints
 from mavdiag.rows.conditions import TRIM_CONDITIONS
 from mavdiag.rows.front import Rows
-from mavdiag.telemetry import FloatArray, Signal, Three
+from mavdiag.telemetry import FloatArray, Signal
 from mavdiag.units import RPM
 
 WINDOW_S = 5.0  # our choice, as of the trim
@@ -48,19 +48,21 @@ MIDDLE = 0.6  # share of the ticks of a window that count, those in the middle: 
 MADE_UP_RAD_S = 6000 * RPM  # that PX4 tells of full output in simulation (SimulatorMavlink: ESC_STATUS)
 MADE_UP = 0.01  # so near to it no motor is (our choice)
 # What is held of b before any flight, and its standard deviation. 1/(1 + e) is 0.8 to 0.87, an ESC's dead band adds to
-# it; a lag is 0.05 s of a rotor and up to 0.1 s of an ESC at 10 Hz; the last is 2 e/(1 + e) of 1/w (estimates).
-LAW, LAW_SD = np.array([0.85, 0.0, 0.0]), np.array([0.15, 0.1, 0.0005])
+# it; a lag is 0.05 s of a rotor and up to 0.1 s of an ESC at 10 Hz (estimates).
+LAW, LAW_SD = np.array([0.85, 0.0]), np.array([0.15, 0.1])
 FLOOR = 2e-4  # of the speed: least spread that is believed, a seventh of a step of 14 rpm at 10,000 (our choice)
-COLUMNS = 3  # of x
-# Places in the parameters: rotors, rows of a tick, row period, ticks of a window, spread, b, P; of each rotor s, a, x0.
+COLUMNS = 2  # of x
+# Places in the parameters: rotors, rows of a tick, row period, ticks of a window, spread, b, P; of each rotor a, x0.
 # And in the memory: rows of the tick, known ones, usable ticks in a row, ticks so far; sums of the tick: of each rotor
-# u, u at its first end and at its last, w; then the yaw rate; of the window's ticks each rotor's residual, and how far
-# its x is from x0.
-ROTORS, ROWS, DT, WINDOW, SPREAD, LAWS, ERRORS, EACH = 0, 1, 2, 3, 4, 5, 8, 17
-OF_ROTOR = 5
+# u, u at its first end and at its last, w; of the window's ticks each rotor's residual, and how far its x is from x0.
+ROTORS, ROWS, DT, WINDOW, SPREAD, LAWS, ERRORS, EACH = 0, 1, 2, 3, 4, 5, 7, 11
+OF_ROTOR = 1 + COLUMNS
 ROW, KNOWN, RUN, TICKS, SUMS = range(5)
 END = 10  # so many times as long as an end of a tick is the whole (our choice)
 TOLD = 3  # of a tick behind y and x of each rotor: mean ln w/u, whether it is usable, its number in the segment
+
+
+Pair: TypeAlias = tuple[float, float]
 
 
 @spec
@@ -70,9 +72,9 @@ class RotorSpeedSpec:
     kind: Literal["rotor_speed"] = "rotor_speed"
     layout: RotorLayout
     mean: tuple[float, ...]  # a: of each rotor [share of its speed]
-    about: tuple[Three, ...]  # x0: of each rotor
-    law: Three = three(LAW)  # b
-    errors: tuple[Three, Three, Three]  # P
+    about: tuple[Pair, ...]  # x0: of each rotor
+    law: Pair = (0.85, 0.0)  # b
+    errors: tuple[Pair, Pair]  # P
     spread: Positive  # rms of the healthy rotors about the law [share of speed]
     window_s: Positive = WINDOW_S
 
@@ -93,9 +95,9 @@ def _take_row(par: Floats, mem: Floats, x: Floats, i: int) -> bool:
     n = int(par[ROTORS])
     if mem[ROW] == 0.0:
         mem[KNOWN] = 0.0
-        for j in range(4 * n + 1):
+        for j in range(4 * n):
             mem[SUMS + j] = 0.0
-    known = x[col.VALID, i] > 0.5 and x.shape[0] >= col.SPEEDS + n and math.isfinite(x[col.RATE + 2, i])
+    known = x[col.VALID, i] > 0.5 and x.shape[0] >= col.SPEEDS + n
     for j in range(n if known else 0):
         u, w = x[col.OUTPUTS + j, i], x[col.SPEEDS + j, i]
         known = known and u > MIN_OUTPUT and w > 0.0 and math.isfinite(u + w)
@@ -109,7 +111,6 @@ def _take_row(par: Floats, mem: Floats, x: Floats, i: int) -> bool:
             if mem[ROW] >= par[ROWS] - end:
                 mem[SUMS + 2 * n + j] += x[col.OUTPUTS + j, i]
             mem[SUMS + 3 * n + j] += x[col.SPEEDS + j, i]
-        mem[SUMS + 4 * n] += x[col.RATE + 2, i]
     mem[ROW] += 1.0
     if mem[ROW] < par[ROWS]:
         return False
@@ -119,22 +120,21 @@ def _take_row(par: Floats, mem: Floats, x: Floats, i: int) -> bool:
 
 @jit
 def _find(par: Floats, mem: Floats, out: Floats) -> None:
-    """y and x of each rotor from the sums of a whole tick, (n, 4); then mean ln w/u."""
+    """y and x of each rotor from the sums of a whole tick, (n, OF_ROTOR); then mean ln w/u."""
     n, rows = int(par[ROTORS]), int(par[ROWS])
     span_s = (rows - _end(par)) * par[DT]  # between the middles of the ends
     for j in range(n):
-        to = 4 * j
+        to = OF_ROTOR * j
         out[to], out[to + 1] = math.log(mem[SUMS + 3 * n + j] / rows), math.log(mem[SUMS + j] / rows)
         out[to + 2] = math.log(mem[SUMS + 2 * n + j] / mem[SUMS + n + j]) / span_s
-        out[to + 3] = par[EACH + OF_ROTOR * j] * mem[SUMS + 4 * n] / rows
-    for p in range(COLUMNS):  # all but s r are against the others
+    for p in range(OF_ROTOR):  # against the others
         mean = 0.0
         for j in range(n):
-            mean += out[4 * j + p] / n
+            mean += out[OF_ROTOR * j + p] / n
         for j in range(n):
-            out[4 * j + p] -= mean
+            out[OF_ROTOR * j + p] -= mean
         if p < 2:
-            out[4 * n] += mean if p == 0 else -mean
+            out[OF_ROTOR * n] += mean if p == 0 else -mean
 
 
 @jit
@@ -161,11 +161,11 @@ def _take_tick(
     n, window, best = int(par[ROTORS]), int(par[WINDOW]), 0.0
     place, rests, away = int(mem[TICKS]) % window, scratch[:window], scratch[window:]
     for j in range(n):
-        own, of, error = EACH + OF_ROTOR * j + 1, SUMS + 4 * n + 1 + (1 + COLUMNS) * window * j, 0.0
-        mem[of + place] = tick[4 * j] - par[own]
+        own, of, error = EACH + OF_ROTOR * j, SUMS + 4 * n + OF_ROTOR * window * j, 0.0
+        mem[of + place] = tick[OF_ROTOR * j] - par[own]
         for p in range(COLUMNS):
             to, away[p] = of + (1 + p) * window, 0.0
-            mem[to + place] = tick[4 * j + 1 + p] - par[own + 1 + p]
+            mem[to + place] = tick[OF_ROTOR * j + 1 + p] - par[own + 1 + p]
             mem[of + place] -= par[LAWS + p] * mem[to + place]
             for i in range(window):
                 away[p] += mem[to + i] / window
@@ -179,7 +179,7 @@ def _take_tick(
         best = found if abs(found) > abs(best) else best
     out[col.VALUE, k], out[col.LEVEL, k] = abs(best), best
     mem[TICKS] += 1.0
-    mem[RUN] = mem[RUN] + 1.0 if covered and tick[4 * n + 1] > 0.5 else 0.0
+    mem[RUN] = mem[RUN] + 1.0 if covered and tick[OF_ROTOR * n + 1] > 0.5 else 0.0
     out[col.SOUND, k] = mem[RUN] >= window
 
 
@@ -187,15 +187,15 @@ def _take_tick(
 def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats, rotors: Floats, at: Ints) -> int:
     """The rotor that is farthest from its speed at the end of each tick."""
     n, k = int(par[ROTORS]), 0
-    tick, scratch = np.zeros(4 * n + TOLD), np.empty(int(par[WINDOW]) + COLUMNS)
+    tick, scratch = np.zeros(OF_ROTOR * n + TOLD), np.empty(int(par[WINDOW]) + COLUMNS)
     for i in range(first, x.shape[1]):
         if not _take_row(par, mem, x, i):
             continue
         tick[:] = 0.0
-        tick[4 * n + 2] = mem[TICKS]
+        tick[OF_ROTOR * n + 2] = mem[TICKS]
         if mem[KNOWN] >= par[ROWS]:
             _find(par, mem, tick)
-            tick[4 * n + 1] = 1.0
+            tick[OF_ROTOR * n + 1] = 1.0
         _take_tick(par, mem, tick, x[col.COVERED, i] > 0.5, scratch, out, rotors, k)
         at[k] = i - first
         for j in range(len(tick) if out.shape[0] > col.TRACE else 0):
@@ -210,7 +210,7 @@ def _again(par: Floats, mem: Floats, ticks: Floats) -> Floats:
     n, found, scratch = int(par[ROTORS]), 0, np.empty(int(par[WINDOW]) + COLUMNS)
     out, rotors = np.empty((col.LEVEL + 1, 1)), np.empty((len(ticks) + 1, n))
     for tick in ticks:
-        if tick[4 * n + 2] == 0.0:  # a segment begins
+        if tick[OF_ROTOR * n + 2] == 0.0:  # a segment begins
             mem[RUN] = 0.0
         _take_tick(par, mem, tick, True, scratch, out, rotors[found:], 0)
         found += int(out[col.SOUND, 0])
@@ -237,7 +237,7 @@ class RotorSpeed(Monitor[RotorSpeedSpec]):
     label = "speed"
     observes = "one rotor that turns faster or slower for its command than the others"
     phrase = "turns off its command {times}x"
-    needs = frozenset({Signal.BODY_RATE, Signal.ACTUATOR, Signal.ROTOR_SPEED})
+    needs = frozenset({Signal.ACTUATOR, Signal.ROTOR_SPEED})
     depends = TRIM_CONDITIONS
     evidence = RotorEvidence(10.0, relative=True)  # at the threshold the others are a third of it or less
     least_hz = 10.0  # of the rows; ESCs at 1 Hz are seen, at 10 Hz as ArduPilot and PX4 send them they scatter less
@@ -259,24 +259,22 @@ class RotorSpeed(Monitor[RotorSpeedSpec]):
         Raises InputError without the outputs and speeds of all rotors, or if the speeds are made up of the outputs.
         """
         n, layout = context.layout.rotors, context.layout
-        no = ((0.0, 0.0, 0.0),) * 3
-        still = RotorSpeedSpec(layout=layout, mean=(0.0,) * n, about=((0.0,) * 3,) * n, errors=no, spread=FLOOR)
+        no = ((0.0, 0.0), (0.0, 0.0))
+        still = RotorSpeedSpec(layout=layout, mean=(0.0,) * n, about=((0.0, 0.0),) * n, errors=no, spread=FLOOR)
         ticks = of_each(flights, (cls.name, layout), lambda flight: _ticks(cls(still), flight))
-        told = np.concatenate([np.empty((0, 4 * n + TOLD)), *ticks])
-        told = told[told[:, 4 * n + 1] > 0.5]
+        told = np.concatenate([np.empty((0, OF_ROTOR * n + TOLD)), *ticks])
+        told = told[told[:, -2] > 0.5]
         if not len(told):
             raise InputError(f"it needs the outputs and the ESC telemetry of {n} rotors")
-        if np.median(np.abs(np.exp(told[:, 4 * n]) / MADE_UP_RAD_S - 1.0)) < MADE_UP:
+        if np.median(np.abs(np.exp(told[:, -TOLD]) / MADE_UP_RAD_S - 1.0)) < MADE_UP:
             raise InputError("the speeds are made up of the outputs, as a simulator does")
         seen = [usable for flight in ticks if len(usable := _usable(flight, n))]
         means = [flight.mean(axis=0) for flight in seen]
         apart = np.concatenate([flight - mean for flight, mean in zip(seen, means, strict=True)])
         y, x = apart[:, :, 0].ravel(), apart[:, :, 1:].reshape(-1, COLUMNS)
-        law, errors = held_law(y, x, LAW, np.diag(LAW_SD**2), FLOOR, 1)
-        with_all = FLOOR**2 / np.maximum(np.square(x).mean(axis=0), FLOOR**2 / LAW_SD**2)
-        errors = errors + np.diag(with_all)
-        errors_of_law = three(errors[0]), three(errors[1]), three(errors[2])
-        learnt = _at(replace(still, law=three(law), errors=errors_of_law), np.mean(means, axis=0))
+        law, P = held_law(y, x, LAW, np.diag(LAW_SD**2), FLOOR, 1, FLOOR)
+        still = replace(still, law=_pair(law), errors=(_pair(P[0]), _pair(P[1])))
+        learnt = _at(still, np.mean(means, axis=0))
         begun = (cls(replace(learnt, spread=1.0)).begin(context.dt_s) for _ in ticks)
         found = np.concatenate(
             [_again(one.par, one.mem, flight).ravel() for one, flight in zip(begun, ticks, strict=True)]
@@ -298,7 +296,7 @@ class RotorSpeed(Monitor[RotorSpeedSpec]):
         return _at(self.spec, old + moved), float(apart) * n / (n - 1)
 
     def _means(self, flights: Flights) -> FloatArray:
-        """Mean y and x of the flights that show them, (k, n, 4). Raises IdentificationError if none does."""
+        """Mean y and x of the flights that show them, (k, n, OF_ROTOR). Raises IdentificationError if none does."""
         ticks = (_usable(_ticks(self, one), self.rotors) for one in flights)
         means = [one.mean(axis=0) for one in ticks if len(one)]
         if not means:
@@ -313,13 +311,17 @@ class RotorSpeed(Monitor[RotorSpeedSpec]):
         """No row yet."""
         spec, n, window = self.spec, self.rotors, max(3, round(self.spec.window_s / (_tick(dt_s) * dt_s)))
         head = [n, _tick(dt_s), dt_s, window, spec.spread, *spec.law, *np.ravel(spec.errors)]
-        each = np.column_stack((spec.layout.mixing[:, 2], spec.mean, np.array(spec.about)))
-        return Begin(np.array([*head, *each.ravel()]), np.zeros(SUMS + 4 * n + 1 + (1 + COLUMNS) * window * n))
+        each = np.column_stack((spec.mean, np.array(spec.about)))
+        return Begin(np.array([*head, *each.ravel()]), np.zeros(SUMS + 4 * n + OF_ROTOR * window * n))
 
 
 def _at(spec: RotorSpeedSpec, means: FloatArray) -> RotorSpeedSpec:
-    """The fit with these mean y and x of each rotor, (n, 4)."""
-    return replace(spec, mean=tuple(means[:, 0].tolist()), about=tuple(three(row) for row in means[:, 1:]))
+    """The fit with these mean y and x of each rotor, (n, OF_ROTOR)."""
+    return replace(spec, mean=tuple(means[:, 0].tolist()), about=tuple(map(_pair, means[:, 1:])))
+
+
+def _pair(values: FloatArray) -> Pair:
+    return float(values[0]), float(values[1])
 
 
 def _tick(dt_s: float) -> int:
@@ -327,11 +329,11 @@ def _tick(dt_s: float) -> int:
 
 
 def _ticks(monitor: RotorSpeed, flight: Sequence[Rows]) -> FloatArray:
-    """The ticks of a flight with what `TOLD` says of them, (k, 4 n + TOLD)."""
-    width = 4 * monitor.rotors + TOLD
+    """The ticks of a flight with what `TOLD` says of them, (k, OF_ROTOR n + TOLD)."""
+    width = OF_ROTOR * monitor.rotors + TOLD
     return np.concatenate([np.empty((0, width)), *(out[col.TRACE :].T for out in traced(monitor, flight, width))])
 
 
 def _usable(ticks: FloatArray, n: int) -> FloatArray:
-    """y and x of each of n rotors in the usable ticks, (k, n, 4)."""
-    return ticks[ticks[:, 4 * n + 1] > 0.5, : 4 * n].reshape(-1, n, 4)
+    """y and x of each of n rotors in the usable ticks, (k, n, OF_ROTOR)."""
+    return ticks[ticks[:, -2] > 0.5, :-TOLD].reshape(-1, n, OF_ROTOR)

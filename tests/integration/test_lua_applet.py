@@ -389,8 +389,8 @@ def test_nothing_that_is_missing_hurts_and_memory_does_not_grow() -> None:
 def test_the_command_writes_the_script_and_says_what_it_leaves_out(tmp_path: Path) -> None:
     path, script, trim = tmp_path / "b.json", tmp_path / "propeller.lua", made().monitors[1]
     step = TrimStepSpec(layout=layout_named("x"), source="actuator", spread=trim.spec.spread)
-    none = ((0.0, 0.0, 0.0),) * 4
-    speed = RotorSpeedSpec(layout=layout_named("x"), mean=(0.0,) * 4, about=none, errors=none[:3], spread=0.01)
+    none = ((0.0, 0.0),) * 4
+    speed = RotorSpeedSpec(layout=layout_named("x"), mean=(0.0,) * 4, about=none, errors=none[:2], spread=0.01)
     more = (trim.model_copy(update={"spec": spec}) for spec in (step, speed))
     base = made().model_copy(update={"monitors": (*made().monitors, *more)})
     base.save(path)

@@ -99,15 +99,18 @@ def test_a_speed_that_is_none_is_not_judged(healthy: RotorSpeedSpec, bad: float)
 
 
 def test_the_law_and_its_errors_are_those_of_least_squares() -> None:
-    rng = np.random.default_rng(3)
-    x = rng.normal(0, 0.1, (4000, 4, 3))
-    y = x @ np.array([0.7, 0.01, 0.001]) + rng.normal(0, 0.01, (4000, 4))
-    law, errors = held_law(y.ravel(), x.reshape(-1, 3), LAW, np.diag(LAW_SD**2), FLOOR, 1)
-    np.testing.assert_allclose(law[:2], [0.7, 0.01], atol=4 * np.sqrt(errors[0, 0]))
+    rng, prior = np.random.default_rng(3), (LAW, np.diag(LAW_SD**2))
+    x = rng.normal(0, 0.1, (16_000, 2))
+    y = x @ np.array([0.7, 0.01]) + rng.normal(0, 0.01, 16_000)
+    law, errors = held_law(y, x, *prior, FLOOR, 1)
+    np.testing.assert_allclose(law, [0.7, 0.01], atol=4 * np.sqrt(errors[0, 0]))
     assert errors[0, 0] == pytest.approx(0.01**2 / (16000 * 0.1**2), rel=0.05)
-    still, unsure = held_law(np.zeros(40), np.zeros((40, 3)), LAW, np.diag(LAW_SD**2), FLOOR, 1)
+    still, unsure = held_law(np.zeros(40), np.zeros((40, 2)), *prior, FLOOR, 1, FLOOR)
     np.testing.assert_allclose(still, LAW)
-    assert unsure[0, 0] == pytest.approx(0.15**2)
+    np.testing.assert_allclose(unsure, prior[1])
+    halfway, errors = held_law(y, x, *prior, FLOOR, 1, 0.1 * LAW_SD[0])  # what goes with x is as large as the prior's
+    assert halfway[0] == pytest.approx((0.7 + LAW[0]) / 2, abs=0.002)
+    assert errors[0, 0] == pytest.approx(LAW_SD[0] ** 2 / 2, rel=0.01)
 
 
 def test_speeds_that_are_made_up_of_the_outputs_are_refused() -> None:
@@ -174,5 +177,6 @@ def test_calm_flights_leave_open_what_a_large_command_makes_of_a_speed() -> None
         np.sqrt(RotorSpeed.fit([rows_of(seed, own, wander=wander) for seed in range(3)], CONTEXT)[0].errors[0][0])
         for wander in (0.0002, 0.005, 0.05)
     ]
-    assert unsure[1] == pytest.approx(10 * unsure[2], rel=0.05)
+    told = np.power(unsure, -2.0) - LAW_SD[0] ** -2.0  # beside the prior
+    assert told[2] == pytest.approx(100 * told[1], rel=0.1)
     assert unsure[1] < unsure[0] == pytest.approx(LAW_SD[0], rel=0.1)
