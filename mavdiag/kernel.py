@@ -216,10 +216,11 @@ def _let_count(
 ) -> None:
     """Let a slot's values count as the envelope has it: less where a condition is near its limits, not beyond them."""
     (ends_ns, conditions), depends, known = bins, plan[slot, DEPENDS] & anywhere, n[BINS]
+    late_ns = 0 if plan[slot, BY_RATES] else n[BINS_NS]  # a bin ends with a rate
     first, stop, far, room, worst = -1, -1, 0.0, 1.0, (-1, 0)
     for number in range(len(stamps) if depends else 0):
         left = seen_from(ends_ns, max(first, 0), known, stamps[number], plan[slot, MEMORY_NS])
-        right = seen_from(ends_ns, max(stop, 0), known, stamps[number], n[BINS_NS])
+        right = seen_from(ends_ns, max(stop, 0), known, stamps[number], late_ns)
         if left != first or right != stop:
             begin = left if first < 0 or 0 <= worst[0] < left else max(stop, left)  # the worst so far left, or it stays
             newer = farthest(conditions, begin, right, depends)

@@ -19,10 +19,11 @@ local B = { -- trims are fractions of hover, by roll, pitch and yaw
     window = {{ par[name][0] }}, -- rows
 {% else %}
     parts = {{ par[name][3] }}, rows = {{ par[name][4] }}, window = {{ par[name][6] }}, -- of a tick; of a part; ticks
-    mean = {{ entry.spec.mean }}, -- of healthy flights
+    mean = {{ entry.spec.mean + entry.spec.about }}, -- of healthy flights, and the pull and yaw rate of these
     spread = {{ entry.spec.spread }},
     turn = {{ entry.spec.turn }}, -- yaw trim by yaw rate [1/(rad/s)], its slope [1/(rad/s^2)], and less by its own [s]
-    pull = {{ entry.spec.pull }}, pull_sd = {{ entry.spec.pull_sd }}, -- roll and pitch trim by pull [1/rad]
+    pull = {{ entry.spec.pull }}, -- roll and pitch trim by pull [1/rad]
+    errors = {{ par[name][12:15] }}, days = {{ par[name][30] }}, -- variances: of pull and turn; of the yaw trim by day
     felt = {{ entry.spec.felt | int }}, turn_trim = {{ turning }}, -- by the accelerometer; of a tick that counts half
     least = {{ trims.MIN_OUTPUT }}, sums = {{ entry.spec.layout.unmixing.sum(axis=1) }}, -- mean output, 0..1
     unmix = {{ entry.spec.layout.unmixing }}, scale = {{ par[name][-1] }}, -- trim by output; of what a rise explains
@@ -164,7 +165,7 @@ end
 -- Rotor trim. A part has means of roll, pitch and yaw trim, pull and yaw rate, then what a turn takes; the first two
 -- are the last ones of the tick before. A tick has medians of its parts less what pull and turn take, by its weight.
 local T = B.rotor_trim or {parts = 0, window = 0}
-local parts, ticks, scratch, shift, now, first = filled(T.parts + 2, NAN, 7), filled(T.window, 0.0, 6), {}, {}, {}, {}
+local parts, ticks, scratch, shift, now, first = filled(T.parts + 2, NAN, 7), filled(T.window, 0.0, 7), {}, {}, {}, {}
 local part, rows, known, moved, tick, tick_run, weight = 1, 0, 0, false, 0, 0, 0.0
 local function take_trim(row) -- [fraction of hover]
   local level = 0.0
@@ -187,15 +188,15 @@ local function take_tick(whole)
     most = whole and max(most, abs(one[7])) or 0.0
   end
   local own, one = 1.0 / (1.0 + (most / T.turn_trim) ^ 2), ticks[tick % T.window + 1]
-  one[6] = tick > 0 and min(own, weight) or own -- rotors lag
-  for j = 1, 5 do
+  one[7] = tick > 0 and min(own, weight) or own -- rotors lag
+  for j = 1, 6 do
     for i = 1, n do
       local at = parts[i + 1]
       local taken = j == 3 and at[7] or j < 3 and T.pull[j] * at[j + 3] or 0.0
       scratch[i] = whole and at[j] - taken or 0.0
     end
     table.sort(scratch)
-    one[j] = 0.5 * (scratch[(n + 1) // 2] + scratch[n // 2 + 1]) * one[6]
+    one[j] = 0.5 * (scratch[(n + 1) // 2] + scratch[n // 2 + 1]) * one[7]
   end
   weight, tick = own, tick + 1
   parts[1], parts[2], parts[n + 1], parts[n + 2] = parts[n + 1], parts[n + 2], parts[1], parts[2]
@@ -203,7 +204,7 @@ end
 local function rise(j, pull) -- of one rotor's command that explains the shift best; and how much that explains
   local above, below = 0.0, 0.0
   for axis = 1, 3 do
-    local share = T.unmix[axis][j] / (T.spread[axis] ^ 2 + (axis < 3 and T.pull_sd[axis] ^ 2 * pull or 0.0))
+    local share = T.unmix[axis][j] / (T.spread[axis] ^ 2 + (axis < 3 and T.errors[axis] * pull or 0.0))
     above, below = above + share * shift[axis], below + share * T.unmix[axis][j]
   end
   return above / below, above / math.sqrt(below)
@@ -226,16 +227,17 @@ local function judge_trim(row)
   take_tick(whole)
   tick_run = whole and farthest(row.t, 1000, "all") <= 1.0 and tick_run + 1 or 0
   if tick_run < T.window then return end
-  for j = 1, 6 do
+  for j = 1, 7 do
     shift[j] = 0.0
     for i = 1, T.window do shift[j] = shift[j] + ticks[i][j] end
   end
-  for j = 1, 5 do shift[j] = shift[j] / shift[6] - (T.mean[j] or 0.0) end
-  local best, most, pull = 0.0, -HUGE, shift[4] ^ 2 + shift[5] ^ 2
+  for j = 1, 6 do shift[j] = shift[j] / shift[7] - T.mean[j] end
+  local best, most = 0.0, -HUGE
   for j = 1, R do
-    local found, explained = rise(j, pull)
+    local found, explained = rise(j, shift[4] ^ 2 + shift[5] ^ 2)
     if explained > most then best, most = found, explained end
   end
+  best = best / math.sqrt(1.0 + max(T.errors[3] * shift[6] ^ 2 - T.days, 0.0) / T.spread[3] ^ 2)
   local counts = record(trim, best, farthest(row.t, (T.window + 1) * T.parts * T.rows * STEP, "all"))
   for j = 1, counts and R or 0 do show(trim, j, select(2, rise(j, 0.0)) * T.scale) end
 end

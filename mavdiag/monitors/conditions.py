@@ -26,11 +26,11 @@ TURN_BINS = 20  # 2 s: so long may a vehicle turn after a step of its commanded 
 BIN_NS = round(BIN_S * NS_PER_S)
 COUNT = len(Condition)
 OPEN_BINS = 64  # whose rows have come while their rates have not: twelve times the longest filter (our choice)
-# Places in the memory: number of the bin of the newest rate; in it the largest commanded rate and the newest ones;
+# Places in the memory: number of the bin of the newest rate; in it the largest commanded rate and the newest three;
 # these and the heading at the end of the bin before; bins so far; of each of the last bins the mean roll and pitch
 # set-point and the slope of the heading; of each open bin its number, sums and counts of roll, pitch, thrust and yaw
 # rate, the least height and the newest heading.
-BIN, MOST, NEWEST, EDGE, BINS, PAST = 0, 1, 2, 4, 7, 8
+BIN, MOST, NEWEST, EDGE, BINS, PAST = 0, 1, 2, 5, 9, 10
 SUMS, COUNTS, LOW, HEADED, WIDTH = 1, 5, 9, 10, 11
 ROWS = PAST + 3 * TILT_BINS
 MEMORY = ROWS + OPEN_BINS * WIDTH
@@ -81,7 +81,7 @@ def _finish(mem: FloatArray, values: FloatArray, k: int) -> None:
     place = past + 3 * (int(mem[BINS]) % TILT_BINS)
     mem[BINS] += 1.0
     heading = mem[at + HEADED] if known else math.nan
-    turned = abs(heading - mem[EDGE + 2]) / BIN_S
+    turned = abs(heading - mem[EDGE + 3]) / BIN_S
     mem[place + 2] = turned
     for j in range(2):
         mem[place + j] = mem[at + SUMS + j] / mem[at + COUNTS + j] if known else math.nan  # 0/0 is nan
@@ -95,7 +95,7 @@ def _finish(mem: FloatArray, values: FloatArray, k: int) -> None:
     values[k, 1] = mem[at + SUMS + 2] / mem[at + COUNTS + 2] if known else math.nan
     values[k, 2] = mem[MOST]
     sharpest = math.nan
-    for j in range(2):
+    for j in range(3):
         step = abs(mem[NEWEST + j] - mem[EDGE + j]) / BIN_S
         if not sharpest >= step and math.isfinite(step):
             sharpest = step
@@ -104,7 +104,7 @@ def _finish(mem: FloatArray, values: FloatArray, k: int) -> None:
     turning = abs(mem[at + SUMS + 3] / mem[at + COUNTS + 3]) if known else math.nan
     values[k, 4] = min(turning, most) if most >= 0.0 and math.isfinite(turning) else turning
     values[k, 5] = mem[at + LOW] if known else math.nan
-    mem[EDGE + 2] = heading
+    mem[EDGE + 3] = heading
 
 
 @jit
@@ -132,10 +132,10 @@ def take_rows(
                 _finish(mem, values, k)
                 k += 1
             mem[BIN], mem[MOST] = number, math.nan
-        for j in range(2):
+        for j in range(3):
             rate = x[col.U + j, i] if x[col.COMMANDED, i] > 0.5 else math.nan
             mem[NEWEST + j] = rate
-            if not mem[MOST] >= abs(rate) and math.isfinite(rate):
+            if j < 2 and not mem[MOST] >= abs(rate) and math.isfinite(rate):
                 mem[MOST] = abs(rate)
     return k
 

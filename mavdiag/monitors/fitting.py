@@ -15,6 +15,7 @@ from mavdiag.thresholds.heldout import Looks
 
 MEMORY_S = 0.35  # of the mean square of the command (METHOD section 4)
 MIN_SHARE = 0.05  # of the mean square, left to k0 however busy the set-point (our choice)
+SCORINGS, RANK = 4, 1e-12  # of the variance law; from where on its two columns differ (our choices)
 Found = TypeVar("Found")
 
 
@@ -101,17 +102,23 @@ def updated(
 
 
 def variance_law(squares: FloatArray, busy: FloatArray) -> tuple[float, float]:
-    """k0 and k1 >= 0 of r^2 = k0 + k1 busy, (n,) each, by non-negative least squares; k0 at least 5 % of mean(r^2)."""
+    """k0 and k1 >= 0 of var(r) = k0 + k1 busy, (n,) each, by maximum likelihood of Gaussian r.
+
+    Fisher scoring: least squares of r^2, weighted by 1/var^2 of the law before. k0 is at least 5 % of mean(r^2).
+    """
     mean, size = float(squares.mean()), float(busy.mean())
-    if size == 0.0:
-        return mean, 0.0
-    # [ n      sum x   ] [ k0 ]   [ sum r^2   ]      x = busy/mean(busy). Two unknowns: if one comes out negative, it is
-    # [ sum x  sum x^2 ] [ k1 ] = [ sum x r^2 ]      zero and the other is its own least-squares solution.
-    square, product = float((busy * busy).mean()) / size**2, float((busy * squares).mean()) / size
-    k1 = (product - mean) / (square - 1.0) if square > 1.0 else 0.0
-    if k1 <= 0:
-        return mean, 0.0
-    k0 = mean - k1
-    if k0 < 0:
-        k0, k1 = 0.0, product / square
-    return max(k0, MIN_SHARE * mean), k1 / size
+    k0, k1 = mean, 0.0
+    for _ in range(SCORINGS if size > 0.0 else 0):
+        # [ sum w    sum w x   ] [ k0 ]   [ sum w r^2   ]    x = busy/mean(busy). Two unknowns: if one is negative it is
+        # [ sum w x  sum w x^2 ] [ k1 ] = [ sum w x r^2 ]    zero and the other is its own least-squares solution.
+        x = busy / size
+        w = np.square(1.0 / (k0 + k1 * x))
+        all_, first, second = float(w.sum()), float(w @ x), float(w @ (x * x))
+        plain, product = float(w @ squares), float((w * x) @ squares)
+        det = all_ * second - first**2
+        k1 = max(0.0, (all_ * product - first * plain) / det) if det > RANK * all_ * second else 0.0
+        k0 = (plain - k1 * first) / all_
+        if k0 < 0.0:
+            k0, k1 = 0.0, product / second
+        k0 = max(k0, MIN_SHARE * mean)
+    return k0, k1 / size if size > 0.0 else 0.0

@@ -23,6 +23,7 @@ from mavdiag.rows.windows import forgetting, window_all, window_rows
 from mavdiag.telemetry import BoolArray, FloatArray, Signal, Three
 
 LAG = 4  # rows that A and B look back: METHOD section 5; 2 to 5 change no verdict on the recorded flights
+SETTLED = 3.0  # so many times the memory after a command what it made has passed (our choice)
 WINDOW_S = 1.0  # our choice; 0.7 to 1.3 s change no verdict
 MIN_ROWS = 500  # 60 a parameter (our choice)
 TRAIN_ROWS = 120_000  # more of it no longer changes the coefficients (our choice)
@@ -130,7 +131,7 @@ class Innovation(Monitor[InnovationSpec]):
 
     def __init__(self, spec: InnovationSpec) -> None:
         super().__init__(spec)
-        self.memory_s = spec.window_s + spec.memory_s
+        self.memory_s = spec.window_s + SETTLED * spec.memory_s
 
     @classmethod
     def fit(cls, flights: Flights, context: LearnContext) -> tuple[InnovationSpec, ...]:
@@ -143,7 +144,8 @@ class Innovation(Monitor[InnovationSpec]):
         rows = sum(int(one.valid.sum()) for one in pairs)
         if rows < MIN_ROWS:
             raise IdentificationError(f"only {rows} rows of healthy flight, {MIN_ROWS} are needed; fly longer")
-        mean = np.concatenate([np.compress(one.valid, one.y[:, LAG:], axis=1) for one in pairs], axis=1).mean(axis=1)
+        rest = [np.compress(one.valid, one.y[:, LAG:] - one.u[:, LAG:], axis=1) for one in pairs]
+        mean = np.concatenate(rest, axis=1).mean(axis=1)
         busy = np.concatenate([np.compress(one.valid, one.busy, axis=1) for one in pairs], axis=1)
         a, b, laws = list[Four](), list[Four](), list[tuple[float, float]]()
         for axis in range(3):

@@ -172,8 +172,11 @@ def _take_tick(
         for p in range(COLUMNS):
             for q in range(COLUMNS):
                 error += away[p] * par[ERRORS + COLUMNS * p + q] * away[q]
+        mean, square = 0.0, 0.0
         for i in range(window):
             rests[i] = mem[of + i]
+            mean, square = mean + rests[i] / window, square + rests[i] ** 2 / window
+        error += (square - mean * mean) / window
         found = _middle(rests) * par[SPREAD] / math.sqrt(par[SPREAD] ** 2 + max(error, 0.0)) * n / (n - 1.0)
         rotors[k, j] = abs(found)
         best = found if abs(found) > abs(best) else best

@@ -26,7 +26,7 @@ import math
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Literal, TypeVar
+from typing import ClassVar, Literal, TypeVar
 
 import numpy as np
 
@@ -56,17 +56,19 @@ TURN_TRIM = 0.02
 PRIOR, PRIOR_SD = np.array([0.0, 0.04, 0.0]), np.array([0.1, 0.04, 0.2])
 APART = 0.07, 0.07, 0.012  # of roll, pitch and yaw trim, between flights of other days (sd; METHOD section 5)
 # Places in the parameters: 1 for torque commands; 1 where the pull is felt; how many rotors; parts of a tick, rows of a
-# part, row period, ticks of a window; of the spec pull, turn, variance of the pull, mean and spread; gains of torque
-# commands; what a monitor has of its own; the sums of the unmixing C, C itself, (3, rotors), and 1/max |c_k|.
-TORQUES, FELT, ROTORS, PARTS, ROWS, DT, WINDOW, PULL, TURN, ERROR, MEAN, SPREAD = *range(8), 9, 12, 14, 17
-GAIN, OWN, SUM, UNMIXING = 20, 23, 26, 29
+# part, row period, ticks of a window; of the spec pull, turn, variances of k1, k2 and b1, mean, about and spread; gains
+# of torque commands; what a monitor has of its own; variance of the yaw trim between its days; the sums of the unmixing
+# C, C itself, (3, rotors), and 1/max |c_k|.
+TORQUES, FELT, ROTORS, PARTS, ROWS, DT, WINDOW, PULL, TURN, ERROR, MEAN, ABOUT, SPREAD = *range(8), 9, 12, 15, 18, 21
+GAIN, OWN, DAYS, SUM, UNMIXING = 24, 27, 30, 31, 34
 # And in the memory: parts of the tick, rows of the part, known ones of the tick, whether a trim changed, the first one;
 # usable ticks in a row, ticks so far, weight of the last; what a monitor has of its own; then the parts, the last two
 # of the tick before in front.
-PART, ROW, KNOWN, MOVED, FIRST, RUN, TICKS, WEIGHT, MINE, SUMS = *range(5), 7, 8, 9, 10, 21
+PART, ROW, KNOWN, MOVED, FIRST, RUN, TICKS, WEIGHT, MINE, SUMS = *range(5), 7, 8, 9, 10, 22
 SUMMED, FIGURES = 7, 9  # of a part: trim, pull, yaw rate, mean output; slope of the rate and that of the yaw trim, less
-MEANS, LIFT = 6, 5  # of a window: trim, pull and lift, ln of the mean output
-RUNS = FIGURES  # behind them in the trace of a tick: usable ticks in a row; then means of a window, and shift
+MEANS, RATE, LIFT = 7, 5, 6  # of a window: trim, pull, yaw rate and lift, ln of the mean output
+# Behind the figures in the trace of a tick: usable ticks in a row, means of a window but for lift; shift of the trim.
+RUNS, SHIFT = FIGURES, FIGURES + 1 + LIFT
 
 Spec = TypeVar("Spec", bound="TrimSpec")
 
@@ -79,6 +81,7 @@ class TrimSpec:
     layout: RotorLayout
     source: trims.Source  # where the trim comes from: the motors' outputs, or the torque commands over the thrust
     mean: Three = (0.0, 0.0, 0.0)  # healthy roll, pitch and yaw trim [fraction of hover]
+    about: Three = (0.0, 0.0, 0.0)  # mean pull [9.81 m/s^2] and yaw rate [rad/s], at which it was learnt
     felt: bool = False  # whether the accelerometer tells the pull; else the lean stands for it
     pull: tuple[float, float] = (0.0, 0.0)  # k1 and k2, and their standard deviations
     pull_sd: tuple[Positive, Positive] = (trims.TILT_TRIM, trims.TILT_TRIM)
@@ -222,7 +225,7 @@ def take_tick(par: Floats, mem: Floats, usable: bool) -> None:
             elif j == 2:
                 taken = par[TURN] * mem[of + 5] + par[TURN + 1] * mem[of + 7] + par[TURN + 2] * mem[of + 8]
                 most = max(most, abs(taken))
-            mem[scratch + part] = mem[of + (j if j < LIFT else 6)] - taken
+            mem[scratch + part] = mem[of + j] - taken
         mem[to + j] = _median(mem, scratch, parts)
     mem[to + LIFT] = math.log(max(mem[to + LIFT], trims.MIN_OUTPUT))
     weight = 1.0 / (1.0 + (most / TURN_TRIM) ** 2)
@@ -236,7 +239,7 @@ def take_tick(par: Floats, mem: Floats, usable: bool) -> None:
 
 @jit
 def window_means(par: Floats, mem: Floats, back: int, means: Floats) -> None:
-    """Weighted means of trim, pull and lift, (6,), over the ticks of a window that ended so many ticks ago."""
+    """Weighted means, (MEANS,), over the ticks of a window that ended so many ticks ago."""
     window, ring = int(par[WINDOW]), _found_at(par) + FIGURES * int(par[PARTS])
     first, weight = int(mem[TICKS]) - back - window, 0.0
     for j in range(MEANS):
@@ -252,7 +255,7 @@ def window_means(par: Floats, mem: Floats, back: int, means: Floats) -> None:
 
 @jit
 def rise(par: Floats, rotor: int, shift: Floats, careful: bool) -> tuple[float, float]:
-    """The rise a_j of one rotor that explains a shift of trim, pull and lift (6,), and a_j |c_j| (`airframe.trim`).
+    """The rise a_j of one rotor that explains a shift of trim, pull, yaw rate and lift (7,), and a_j |c_j| (`trims`).
 
     careful: roll and pitch with what a load moves that is so heavy, and with the errors of k.
     """
@@ -269,13 +272,17 @@ def rise(par: Floats, rotor: int, shift: Floats, careful: bool) -> tuple[float, 
 
 @jit
 def best_rise(par: Floats, shift: Floats) -> float:
-    """That of the rotor whose rise leaves least of the shift, carefully: a rotor with less effect would rise more."""
+    """That of the rotor whose rise leaves least of the shift, carefully: a rotor with less effect would rise more.
+
+    Less by what the yaw trim errs at this yaw rate beyond what it differs by on other days.
+    """
     found, most = 0.0, -math.inf
     for rotor in range(int(par[ROTORS])):
         a, explained = rise(par, rotor, shift, True)
         if explained > most:
             found, most = a, explained
-    return found
+    error = max(0.0, par[ERROR + 2] * shift[RATE] ** 2 - par[DAYS])
+    return found / math.sqrt(1.0 + error / par[SPREAD + 2] ** 2)
 
 
 @allocating
@@ -295,9 +302,10 @@ def write(par: Floats, mem: Floats, shift: Floats, sound: bool, out: Floats, rot
                 mean += mem[found + FIGURES * part + j]
             out[col.TRACE + j, k] = mean / parts
         out[col.TRACE + RUNS, k] = mem[RUN]
-        for j in range(3):
+        for j in range(LIFT):
             out[col.TRACE + RUNS + 1 + j, k] = means[j] if mem[RUN] >= par[WINDOW] else math.nan
-            out[col.TRACE + RUNS + 4 + j, k] = shift[j]
+        for j in range(3):
+            out[col.TRACE + SHIFT + j, k] = shift[j]
 
 
 @cached
@@ -313,7 +321,7 @@ def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats
         window_means(par, mem, 0, shift)
         shift[LIFT] = 0.0  # what the vehicle weighed when it was learnt is not known
         for j in range(LIFT):
-            shift[j] = shift[j] - (par[MEAN + j] if j < 3 else 0.0) if sound else 0.0
+            shift[j] = shift[j] - par[MEAN + j] if sound else 0.0
         write(par, mem, shift, sound, out, rotors, k)
         at[k] = begin - 1 - first
         k += 1
@@ -335,6 +343,7 @@ class TrimMonitor(Monitor[Spec]):
     needs_layout = True
     unit = "fraction of hover"
     reach = MOST_RISE
+    days: ClassVar[float] = 0.0  # by how much the yaw trim differs on other days than that it is compared with (sd)
 
     def __init__(self, spec: Spec) -> None:
         super().__init__(spec)
@@ -353,8 +362,8 @@ class TrimMonitor(Monitor[Spec]):
         parts = of_each(flights, (layout, source, felt), still._parts_of)
         known = cls(_with_laws(still.spec, [still._walked(one, dt_s) for one in parts], dt_s))
         walked = [known._walked(flight, dt_s) for flight in parts]
-        mean = three(_means_of(walked).mean(axis=0))
-        return (replace(known.spec, mean=mean, spread=cls.spread(walked, mean)),)
+        found = _at(known.spec, _means_of(walked).mean(axis=0))
+        return (replace(found, spread=cls.spread(walked, found.mean)),)
 
     @classmethod
     @abstractmethod
@@ -392,20 +401,20 @@ class TrimMonitor(Monitor[Spec]):
         for x in flight:
             begun, n = self.begin(part_s), x.shape[1]
             begun.par[TORQUES], begun.par[FELT], begun.par[GAIN : GAIN + 3] = 1.0, 0.0, 1.0
-            out, rotors = np.zeros((col.TRACE + RUNS + 7, n)), np.empty((n, self.rotors))
+            out, rotors = np.zeros((col.TRACE + SHIFT + 3, n)), np.empty((n, self.rotors))
             found.append(out[:, : self.run(begun.par, begun.mem, x, 0, 0, out, rotors, np.empty(n, dtype=np.int64))])
         return found
 
     def renewed(self, flights: Flights, context: LearnContext) -> tuple[Spec, float]:
         """With the trim of the new propellers; how much it varies stays."""
-        return replace(self.spec, mean=three(self._means(flights).mean(axis=0))), 1.0
+        return _at(self.spec, self._means(flights).mean(axis=0)), 1.0
 
     def extended(self, flights: Flights, count: int) -> tuple[Spec, float]:
         """With the mean over all flights; no rise grows by more than the one that explains the way of the mean back."""
         spec, means = self.spec, self._means(flights)
-        moved = (means - spec.mean).sum(axis=0) / (count + len(means))
-        back = trims.rises(-moved[None], spec.layout, spec.spread)
-        return replace(spec, mean=three(spec.mean + moved)), float(back.max())
+        moved = (means - (*spec.mean, *spec.about)).sum(axis=0) / (count + len(means))
+        back = trims.rises(-moved[None, :3], spec.layout, spec.spread)
+        return _at(spec, moved + np.array([*spec.mean, *spec.about])), float(back.max())
 
     def _means(self, flights: Flights) -> FloatArray:
         dt_s = next((rows.block.dt_s for flight in flights for rows in flight), TICK_S)
@@ -434,15 +443,17 @@ class TrimMonitor(Monitor[Spec]):
     def blindness(self, threshold: float) -> str:
         """The least loss of one rotor; and the direction that errors of the law of turns cannot be told from.
 
-        At a yaw rate r alone these have the standard deviation sqrt(P_11) r, where a rise a of one rotor shifts the
-        yaw trim by a c_yaw. Above the rate at which both are equal the yaw trim tells no rotor.
+        At a yaw rate r these have the standard deviation sqrt(P_11) |r - r0|, r0 the mean one that was learnt, where a
+        rise a of one rotor shifts the yaw trim by a c_yaw. Beyond where both are equal the yaw trim tells no rotor.
         """
-        C, rate = self.spec.layout.unmixing, math.sqrt(self.spec.turn_covariance[0][0])
+        spec, C = self.spec, self.spec.layout.unmixing
+        rate = math.sqrt(spec.turn_covariance[0][0])
         lost = f"blind to losses below {100 * trims.loss_of(threshold, C.shape[1]):.0f} % of one rotor's thrust"
         if rate == 0.0:
             return lost
         pattern, turn = "".join("+" if c > 0 else "-" for c in C[2]), threshold * float(np.abs(C[2]).max()) / rate
-        return f"{lost}, and to the yaw pattern {pattern} where the nose turns by more than {turn:.2g} rad/s"
+        off = f"where the yaw rate is off {spec.about[2]:.2g} by more than {turn:.2g} rad/s"
+        return f"{lost}, and to the yaw pattern {pattern} {off}"
 
     def own(self, tick_s: float) -> tuple[float, float, float]:
         """What the monitor reads of its own (`OWN`)."""
@@ -454,11 +465,12 @@ class TrimMonitor(Monitor[Spec]):
         window = max(1, round(spec.window_s / self.period_s(dt_s)))
         head = [spec.source == "torque", spec.felt, layout.rotors, parts, rows, dt_s, window]
         gain, C = layout.torque_gain or (0.0, 0.0, 0.0), layout.unmixing
-        learnt = [*spec.pull, *spec.turn, *np.square(spec.pull_sd), *spec.mean, *spec.spread, *gain]
+        errors = [*np.square(spec.pull_sd), spec.turn_covariance[0][0]]
+        learnt = [*spec.pull, *spec.turn, *errors, *spec.mean, *spec.about, *spec.spread, *gain]
         mem = np.zeros(SUMS + SUMMED * (parts + 2) + (FIGURES + 1) * parts + 2 * (MEANS + 1) * window)
         mem[SUMS : SUMS + 2 * SUMMED] = np.nan
         own, sizes = self.own(self.period_s(dt_s)), np.sqrt(np.power(spec.spread, -2.0) @ np.square(C))
-        return Begin(np.array([*head, *learnt, *own, *C.sum(axis=1), *C.ravel(), 1.0 / sizes.max()]), mem)
+        return Begin(np.array([*head, *learnt, *own, self.days**2, *C.sum(axis=1), *C.ravel(), 1.0 / sizes.max()]), mem)
 
 
 class RotorTrim(TrimMonitor[RotorTrimSpec]):
@@ -483,12 +495,13 @@ class RotorTrim(TrimMonitor[RotorTrimSpec]):
     spec_type = RotorTrimSpec
     feature = Feature.RISE
     doubt = "trim shift: propeller, payload or session"  # a trim alone tells no more
+    days = APART[2]
     run = staticmethod(run)
 
     @classmethod
     def spread(cls, flights: Sequence[Sequence[FloatArray]], mean: Three) -> Three:
         """Of all windows of all flights about the mean."""
-        return trims.spread_of(np.concatenate([_windows_of(flight) for flight in flights]) - mean)
+        return trims.spread_of(np.concatenate([_windows_of(flight)[:, :3] for flight in flights]) - mean)
 
 
 def _tick_shape(dt_s: float) -> tuple[int, int]:
@@ -526,15 +539,20 @@ def _with_laws(spec: Spec, flights: Sequence[Sequence[FloatArray]], dt_s: float)
     return replace(spec, pull=(float(k1[0]), float(k2[0])), pull_sd=(math.sqrt(P1[0, 0]), math.sqrt(P2[0, 0])))
 
 
+def _at(spec: Spec, means: FloatArray) -> Spec:
+    """With this mean trim, pull and yaw rate, (6,)."""
+    return replace(spec, mean=three(means[:3]), about=three(means[3:]))
+
+
 def _windows_of(flight: Sequence[FloatArray]) -> FloatArray:
-    """Roll, pitch and yaw trim of all full windows of a flight, (k, 3)."""
-    means = (segment[col.TRACE + RUNS + 1 : col.TRACE + RUNS + 4] for segment in flight)
-    windows = np.concatenate([np.empty((3, 0)), *means], axis=1).T
+    """Mean trim, pull and yaw rate of all full windows of a flight, (k, 6)."""
+    means = (segment[col.TRACE + RUNS + 1 : col.TRACE + SHIFT] for segment in flight)
+    windows = np.concatenate([np.empty((LIFT, 0)), *means], axis=1).T
     return np.asarray(windows[np.isfinite(windows[:, 0])], dtype=np.float64)
 
 
 def _means_of(flights: Sequence[Sequence[FloatArray]]) -> FloatArray:
-    """Mean trims of the flights that have a full window, (k, 3). Raises IdentificationError if none has."""
+    """Those of the flights that have one, (k, 6). Raises IdentificationError if none has."""
     means = [windows.mean(axis=0) for windows in map(_windows_of, flights) if len(windows)]
     if not means:
         raise IdentificationError(f"no unbroken {WINDOW_S:g} s of flight to average the trim over; fly longer")

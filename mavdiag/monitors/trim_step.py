@@ -23,10 +23,10 @@ HOLD = 0.012  # of hover: the reference waits while a shift is larger, so that a
 HOLD_S = 120.0  # of judged flight it waits, for what a vehicle has carried so long is its own (our choice)
 SESSION = 0.06  # of hover: a rise against the healthy trim that a session explains (our choice)
 # Places of its own: in the parameters how fast and how far the reference follows in a tick, and the length of a
-# tick; in the memory the reference (trim, lean, lift), the way back from it to where the trim was healthy
+# tick; in the memory the reference (a window's means), the way back from it to where the trim was healthy
 # (zero while that is the reference itself), judged flight since it waits, 1 if there is one.
 FOLLOW, MOST, TICK_S = trim.OWN, trim.OWN + 1, trim.OWN + 2
-REFERENCE, BACK, HELD, THERE = trim.MINE, trim.MINE + 6, trim.MINE + 9, trim.MINE + 10
+REFERENCE, BACK, HELD, THERE = trim.MINE, trim.MINE + 7, trim.MINE + 10, trim.MINE + 11
 
 
 @spec
@@ -53,7 +53,7 @@ def _share(par: Floats, mem: Floats, shift: Floats) -> float:
 
 @jit
 def _take_window(par: Floats, mem: Floats, shift: Floats, before: Floats) -> bool:
-    """After a tick: the shift of the present window from the reference, (6,), zero where it is not judged.
+    """After a tick: the shift of the present window from the reference, (7,), zero where it is not judged.
 
     before: room for that of the window before.
     """
@@ -67,8 +67,7 @@ def _take_window(par: Floats, mem: Floats, shift: Floats, before: Floats) -> boo
     if mem[THERE] < 0.5:
         for j in range(trim.MEANS):
             mem[REFERENCE + j] = before[j]
-            before[j] -= par[trim.MEAN + j] if j < 3 else 0.0
-        before[trim.LIFT] = 0.0
+            before[j] = before[j] - par[trim.MEAN + j] if j < trim.LIFT else 0.0
         far = trim.best_rise(par, before) > SESSION
         for j in range(trim.MEANS):
             if j < 3:
@@ -147,7 +146,7 @@ class TrimStep(trim.TrimMonitor[TrimStepSpec]):
     def spread(cls, flights: Sequence[Sequence[FloatArray]], mean: Three) -> Three:
         """Of healthy shifts within flights, in which no session's load counts."""
         walked = [segment for flight in flights for segment in flight]
-        shifts = [segment[TRACE + trim.RUNS + 4 :, segment[SOUND] > 0.5] for segment in walked]
+        shifts = [segment[TRACE + trim.SHIFT :, segment[SOUND] > 0.5] for segment in walked]
         found = np.concatenate([np.empty((3, 0)), *shifts], axis=1).T
         if len(found) == 0:
             raise IdentificationError(f"no unbroken {2 * trim.WINDOW_S:g} s of flight to compare trims in; fly longer")

@@ -174,7 +174,9 @@ def test_the_errors_of_the_law_are_those_of_its_fits() -> None:
     np.testing.assert_allclose(np.sqrt(np.diag(still.turn_covariance))[:2], (0.1, 0.04), rtol=0.15)
     assert still.turn == pytest.approx((0.0, 0.04, 0.0), abs=0.01)  # the prior: the noise looks like a turn
     told = RotorTrim(still).blindness(0.1)
-    assert told.startswith("blind to losses below 9 % of one rotor's thrust, and to the yaw pattern ++-- where")
+    assert told.startswith(
+        "blind to losses below 9 % of one rotor's thrust, and to the yaw pattern ++-- where the yaw rate is off"
+    )
     assert float(told.removesuffix(" rad/s").split()[-1]) == pytest.approx(0.25, rel=0.1)
 
 
@@ -237,11 +239,11 @@ def test_outputs_are_preferred_to_commands() -> None:
     assert source_among([sources_of([both], frame)], frame) == "actuator"
 
 
-@given(frame=frames, shift=st.lists(st.floats(-0.3, 0.3), min_size=6, max_size=6))
+@given(frame=frames, shift=st.lists(st.floats(-0.3, 0.3), min_size=7, max_size=7))
 def test_the_compiled_rise_is_that_of_arrays(frame: str, shift: list[float]) -> None:
     layout, both = layout_named(frame), np.array([shift])
     par = RotorTrim(RotorTrimSpec(layout=layout, source="actuator", spread=WEIGHTS)).begin(0.01).par
-    wind, load = TILT_TRIM * math.hypot(*shift[3:5]), BESIDE * shift[5]
+    wind, load = TILT_TRIM * math.hypot(*shift[3:5]), BESIDE * shift[6]
     spread = np.array([*(math.hypot(sd, wind, load) for sd in WEIGHTS[:2]), WEIGHTS[2]])
     expected = rises(both[:, :3], layout, spread)[0]
     found, explained = np.array([rise(par, rotor, both[0], True) for rotor in range(layout.rotors)]).T
