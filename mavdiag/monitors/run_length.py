@@ -137,7 +137,7 @@ class RunLength(Monitor[RunLengthSpec]):
     shown = RESIDUAL
     spec_type = RunLengthSpec
     unit = "s"
-    memory_s = SETTLE_S  # until the model has answered to it [s]
+    memory_s = 2 * SETTLE_S  # until the model has answered to it, and what was off then has ended [s]
     run = staticmethod(run)
 
     def __init__(self, spec: RunLengthSpec) -> None:
