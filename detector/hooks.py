@@ -14,10 +14,8 @@ import shutil
 import subprocess
 import threading
 import time
-import urllib.request
 from collections import deque
 from collections.abc import Callable, Iterable
-from http.client import HTTPException
 from typing import TypeAlias
 from urllib.parse import urlsplit
 
@@ -63,17 +61,17 @@ def _run(words: list[str], line: bytes) -> None:
         raise OSError(str(error)) from error
 
 
-class _NoRedirect(urllib.request.HTTPRedirectHandler):
-    """A redirected POST would become a GET without the line."""
-
-    def redirect_request(self, *_: object) -> None:
-        return None
-
-
 def _post(address: str, line: bytes) -> None:
+    import urllib.request  # only if asked for: the import takes its time
+    from http.client import HTTPException
+
+    class NoRedirect(urllib.request.HTTPRedirectHandler):  # a redirected POST would become a GET without the line
+        def redirect_request(self, *_: object) -> None:
+            return None
+
     request = urllib.request.Request(address, line, {"Content-Type": "application/json"}, method="POST")
     try:
-        with urllib.request.build_opener(_NoRedirect).open(request, timeout=ANSWER_S):
+        with urllib.request.build_opener(NoRedirect).open(request, timeout=ANSWER_S):
             pass
     except HTTPException as error:
         raise OSError(f"no answer of a web server: {error}") from error

@@ -16,6 +16,7 @@ def start(module: str) -> NoReturn:
     if asked is signal.default_int_handler:  # not ignored; an exception may become another one while classes are made
         signal.signal(signal.SIGINT, lambda *_: os._exit(INTERRUPTED))
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy loads: its idle threads cost a sixth of the time
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # to look for them reads what every package brings
     gc.disable()  # what is loaded stays: to go through it again and again is a quarter of the time
     main = import_module(module).main
     gc.freeze()

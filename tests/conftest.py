@@ -1,5 +1,6 @@
 """Shared set-up: hypothesis is reproducible and prints how to repeat a failure; each test keeps its own answers."""
 
+import gc
 import itertools
 from collections.abc import Callable
 from functools import partial
@@ -12,7 +13,13 @@ settings.register_profile("repo", deadline=None, print_blob=True, derandomize=Tr
 settings.load_profile("repo")
 
 NUMBERS = itertools.count()
+gc.disable()  # until all tests are collected: to go through what is loaded again and again was half of that time
 Ran = tuple[int, str, str]
+
+
+def pytest_collection_finish() -> None:
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.fixture(autouse=True)

@@ -43,7 +43,7 @@ def loaded_by(statement: str) -> set[str]:
 def test_detector_and_plant_start_without_heavy_imports() -> None:
     heavy = {"matplotlib", "control", "scipy.signal", "pandas"}
     assert not loaded_by("import detector, mavdiag.__main__; import sitl_plant") & {"numpy", "typer", "email"}
-    assert not loaded_by("import detector.daemon") & {*heavy, "sitl_plant"}
+    assert not loaded_by("import detector.daemon") & {*heavy, "sitl_plant", "http.client", "serial", "statistics"}
     own = "import sitl_plant.__main__; from sitl_plant.autopilot.telemetry import *; from sitl_plant.plant import *"
     flown = f"{own}; flight_telemetry(PlantConfig(turbulence_m_s=5.0), 0.1, LinkSpec('ardupilot'))"
     assert not loaded_by(flown) & heavy

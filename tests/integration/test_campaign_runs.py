@@ -86,8 +86,7 @@ def test_b13_fresh_keeps_the_results_if_the_scheduler_cannot_be_used(
     path = tmp_path / "results.jsonl"
     path.write_text("a result\n")
     code, _, _ = program(SITL_PLANT, "campaign", "-o", path, "--fresh", "--scheduler", "tcp://h:1")
-    assert code == 2
-    assert path.read_text() == "a result\n"
+    assert (code, path.read_text()) == (2, "a result\n")
 
 
 def test_the_command_reuses_and_reports(program: Any, tmp_path: Path) -> None:

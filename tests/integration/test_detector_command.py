@@ -263,8 +263,7 @@ def test_the_unit_is_supervised_and_has_no_rights_to_spare() -> None:
     service = dict(re.findall(r"^(\w+)=(.*)$", section, re.MULTILINE))
     assert service["Type"] == "notify"
     assert float(service["WatchdogSec"]) >= 5  # the loop gives a sign of life once a second
-    assert service["ExecStart"] == PROGRAM
-    assert service["ExecStartPre"] == f"{PROGRAM} --check"
+    assert (service["ExecStart"], service["ExecStartPre"]) == (PROGRAM, f"{PROGRAM} --check")
     for name in ("DynamicUser", "NoNewPrivileges", "ProtectHome", "RestrictNamespaces", "RestrictSUIDSGID"):
         assert service[name] == "yes", name
     assert (service["ProtectSystem"], service["CapabilityBoundingSet"]) == ("strict", "")

@@ -162,10 +162,9 @@ def test_b5_the_hours_of_a_threshold_are_the_judged_time_of_its_values() -> None
 def test_a_new_monitor_is_its_class_and_one_name_in_the_registry(monkeypatch: pytest.MonkeyPatch) -> None:
     """Learnt, written, read, judged, and its alarm reported, by nothing but its class."""
     registry: tuple[type[Monitor[Any]], ...] = (RotorTrim, MadeUp)  # those of the test: all take a minute to compile
-    monkeypatch.setattr(mavdiag.monitors, "MONITORS", registry)
+    for module in (mavdiag.monitors, mavdiag.chain, mavdiag.kernel):
+        monkeypatch.setattr(module, "MONITORS", registry)
     monkeypatch.setattr(mavdiag.monitors, "BY_NAME", {kind.name: kind for kind in registry})
-    monkeypatch.setattr(mavdiag.chain, "MONITORS", registry)
-    monkeypatch.setattr(mavdiag.kernel, "MONITORS", registry)
     monkeypatch.setattr(mavdiag.kernel, "loop", joined_loops([monitor.run for monitor in registry]))
     monkeypatch.setattr(mavdiag.kernel, "judge", compiled())
     options = LearnOptions(airframe=FRAME, monitors=("made_up", "rotor_trim"))
@@ -175,8 +174,7 @@ def test_a_new_monitor_is_its_class_and_one_name_in_the_registry(monkeypatch: py
     assert "made_up" in str(baseline)
     heavy = changed(flying(3000, 9), Signal.SPECIFIC_FORCE, lambda force: 1.5 * force)
     verdict = judge(made(9, heavy, "px4"), baseline)
-    assert verdict.verdict is Verdict.FAULT
-    assert [one.monitor for one in verdict.events] == ["made_up"]
+    assert (verdict.verdict, [one.monitor for one in verdict.events]) == (Verdict.FAULT, ["made_up"])
     assert verdict.reason.startswith("made_up")
     assert judge(made(8, flying(3000, 8), "px4"), baseline).verdict is Verdict.HEALTHY
 

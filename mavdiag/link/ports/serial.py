@@ -2,8 +2,6 @@
 
 import termios
 
-import serial
-
 from mavdiag.link.ports.base import Reconnecting, Stream, link_error
 
 
@@ -24,6 +22,8 @@ class Serial(Reconnecting):
             self._wait()
 
     def _open(self) -> Stream:
+        import serial  # only if asked for: the import takes its time
+
         # inter_byte_timeout=0 sets VMIN=1, VTIME=0 (termios): "nothing yet" then differs from "hung up".
         try:
             device = serial.Serial(self._device, self._baud, inter_byte_timeout=0, exclusive=True)
