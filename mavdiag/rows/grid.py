@@ -48,9 +48,10 @@ def median_step(times: Sequence[IntArray]) -> float:
 
 def usual_step(steps: FloatArray) -> float:
     """Mean of the steps within 25 % of their median, so that losses do not stretch it; of all if there are none."""
-    median = float(np.median(steps))
-    near = steps[np.abs(steps - median) <= UNIFORM * median]
-    return float(np.mean(near if len(near) else steps))
+    ordered = np.sort(steps)  # np.median takes four times as long
+    median = (ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2]) / 2
+    first, stop = ordered.searchsorted((1 - UNIFORM) * median), ordered.searchsorted((1 + UNIFORM) * median, "right")
+    return float((ordered[first:stop] if first < stop else ordered).mean())
 
 
 def mean_step(steps: FloatArray) -> float:
