@@ -30,14 +30,14 @@ class Grid(StrEnum):
 
 def distinct(t_ns: IntArray) -> IntArray:
     """Stamps in order of time, each once."""
-    if np.all(t_ns[1:] > t_ns[:-1]):
+    if (t_ns[1:] > t_ns[:-1]).all():
         return t_ns
     return np.unique(t_ns, return_index=True)[0]  # without the index it hashes, which is 170 times slower for stamps
 
 
 def steps_of(t_ns: IntArray) -> FloatArray:
     """The steps between stamps in order of time, each time once [ns]."""
-    return np.diff(distinct(t_ns)).astype(np.float64)
+    return ((stamps := distinct(t_ns))[1:] - stamps[:-1]).astype(np.float64)
 
 
 def median_step(times: Sequence[IntArray]) -> float:
