@@ -35,7 +35,7 @@ QUIET_S = 10.0  # between two such lines (our choice)
 FORGET_NS = NS_PER_S  # a sample without a verdict for so long gets none: nothing is judged (our choice)
 TURNS_HZ = 334  # of all vehicles together; where there are more looks than that, turns bring several (our choice)
 LOOKS_MOST = 4  # that a turn brings: the verdict on the first of them comes 0.24 s later (our choice)
-SHORTEST, NEAR = 0.2, 1.5  # of a tick: the shortest one, and how far data may be off that are waited for (our choice)
+SHORTEST, NEAR = 0.2, 1.7  # of a tick: the shortest one, and how far data may be off that are waited for (our choice)
 SPARE_NS = NS_PER_MS  # a turn comes so much after the data that it waits for ought to have come (our choice)
 VAIN_NS = 25 * NS_PER_MS  # ... and where it came in vain twice: a stream does not keep its time (our choice)
 

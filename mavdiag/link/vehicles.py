@@ -386,8 +386,7 @@ class LinkDecoder:
     def received(self, sysid: int) -> Received:
         """What waits of a vehicle that has entered."""
         unread, stream = self._unread.pop(sysid, _Unread()), self.vehicles[sysid]
-        frames = self._backlog.take(sysid)
-        frames = frames_joined([*unread.pieces, frames]) if unread.pieces else frames
+        frames = frames_joined([*unread.pieces, self._backlog.take(sysid)])
         talks = _TALKS[frames.rows["row"]]
         talk = tuple(frames.where(talks)) if np.count_nonzero(talks) else ()
         alive = bool(np.count_nonzero(frames.rows["sender"] & 0xFF == AUTOPILOT))
