@@ -240,8 +240,7 @@ def _away(s: Samples, column: int, value: float, span_ns: int) -> float:
 @inline
 def _ahead(s: Samples) -> float:
     """How far a sample may be ahead of the one before and still follow it [ns]."""
-    pace_ns = 0.0 if s.rule[KEEPS_PACE] else min(FAR * s.counts[STEP_NS], SLOWEST_NS)
-    return float(max(s.rule[AHEAD], pace_ns))
+    return float(max(s.rule[AHEAD], 0.0 if s.rule[KEEPS_PACE] else min(FAR * s.counts[STEP_NS], SLOWEST_NS)))
 
 
 @jit
@@ -508,9 +507,9 @@ NO_FIGURES, NO_RUNS = np.empty(0), np.empty(0, dtype=np.int64)
 
 def believed(quality: LinkQuality, telemetry: Telemetry) -> Telemetry:
     """A log without its lost samples, nan where it is dead; the gyro with a fourth column, a place in `DOUBTS`."""
-    columns = ((series, series.values.shape[1]) for series in telemetry.series)
-    looked = (_looked(quality.rule(one.signal, width), Memory(width), one) for one, width in columns)
-    return Telemetry(tuple(series for series in looked if len(series)))
+    sized = ((one, one.values.shape[1]) for one in telemetry.series)
+    looked = (_looked(quality.rule(one.signal, columns), Memory(columns), one) for one, columns in sized)
+    return Telemetry(tuple(filter(len, looked)))
 
 
 def adds_nothing(quality: LinkQuality, pieces: Iterable[Telemetry]) -> bool:
@@ -645,9 +644,8 @@ def _by_second(t_ns: IntArray, values: FloatArray, angle: bool, period_ns: float
         second[0] += 1.0
         second[1] = max(second[1], span_ns)
         for column in range(columns):
-            step, before = values[column, i] - values[column, i - 1], np.nan
-            if i > 1:
-                before = values[column, i - 1] - values[column, i - 2]
+            step = values[column, i] - values[column, i - 1]
+            before = values[column, i - 1] - values[column, i - 2] if i > 1 else np.nan
             if angle:
                 step, before = step - TURN * np.round(step / TURN), before - TURN * np.round(before / TURN)
             bend = step - before / (t_ns[i - 1] - t_ns[i - 2]) * span_ns if i > 1 else np.nan
