@@ -124,8 +124,7 @@ class _Sight:
         flown_ns = self._spans[-1][1] if self._spans else now_ns
         since_ns = flown_ns - FLOWN_NS
         self._spans = [span for span in self._spans if span[1] >= since_ns]
-        late_ns = now_ns - LATEST_NS
-        self._pieces = [one for one in self._pieces if since_ns <= one[0] <= flown_ns or one[0] >= late_ns]
+        self._pieces = [one for one in self._pieces if since_ns <= one[0] <= flown_ns or one[0] >= now_ns - LATEST_NS]
         self.hidden, front = "", self._chain.front
         if now_ns - flown_ns >= HIDDEN_S * NS_PER_S:
             telemetry = joined([piece for _, piece in self._pieces])

@@ -1,7 +1,8 @@
 """The senders on a link: where each is heard from, and honest loss figures from MAVLink's 8-bit sequence numbers.
 
 A swapped pair is one reordered frame and no loss; a repeated frame is one duplicate; a sender that starts its count
-again is a restart, not a loss of two hundred. In eight bits a gap of 256 n frames looks like none.
+again is a restart, not a loss of two hundred. In eight bits a gap of 256 n frames looks like none. What is repeated,
+byte by byte within half a second, as two radios or routers in a ring do, is heard once.
 
 A sender is heard from one source (a network address) as long as it is heard there; everything in a name that is ours is
 refused. Two different frames of one running number, one right after the other, show two senders: neither is believed.
@@ -24,6 +25,7 @@ Source: TypeAlias = Hashable | None  # where bytes came from: an address, or Non
 WINDOW = 64  # frames: how late one may come and still be known as late (a choice: 25 ms of 2,500 messages a second)
 NEAR = 32  # places: a line that swaps frames moves them by less; of random numbers three in four are farther off
 SENDERS_MAX = 512  # senders that are followed at a time (our choice)
+REPEATED_NS = NS_PER_S // 2  # by so much a copy may be later than the frame (our choice)
 CLASH = 8  # places: so near behind a frame another one with its number is another sender's, not a late one (our choice)
 PINNED_S = 3.0  # a sender must be silent for so long before it may come from elsewhere: as a link is lost (our choice)
 SOURCES_MAX = 4 * SENDERS_MAX  # sources that have a number at a time
@@ -41,8 +43,8 @@ FRAME = np.dtype(
 )
 PLAIN = np.dtype((np.void, FRAME.itemsize))  #: its bytes: numpy copies them twenty times as fast
 
-# One sender. sums: checksum of the latest frame of each number, plus 1; missed: how many frames had been received when
-# a number was missed, plus 1; contested: numbers of clashes that nobody has looked at yet.
+# One sender. sums, times: checksum of the latest frame of each number, plus 1, and when it came [ns]; missed: how many
+# frames had been received when a number was missed, plus 1; contested: numbers of clashes that nobody looked at yet.
 _COUNTS = ("received", "lost", "reordered", "duplicated", "restarts", "clashes")
 _OTHERS = ("key", "source", "heard_ns", "next", "jumps", "far", "intruder", "refused")
 _SENDER = np.dtype(
@@ -50,6 +52,7 @@ _SENDER = np.dtype(
         *((name, "i8") for name in _COUNTS + _OTHERS),
         ("missed", "i8", 256),
         ("sums", "i4", 256),
+        ("times", "i8", 256),
         ("contested", "i4", 256),
     ]
 )
@@ -59,7 +62,7 @@ _SENDER = np.dtype(
 class LinkCount:
     """What came from one sender so far, in frames."""
 
-    received: int
+    received: int  # without duplicates
     lost: int  # net of those that came late after all (reordered)
     reordered: int
     duplicated: int
@@ -287,13 +290,16 @@ def _hear(
         checksum = (np.int64(data[frame.stop]) | np.int64(data[frame.stop + 1]) << 8) + 1
         if seq == sender.next:
             sender.next = (seq + 1) % 256
+        elif sender.sums[seq] == checksum and frame.host_ns - sender.times[seq] < REPEATED_NS:
+            sender.duplicated += 1
+            continue
         else:
             near = (sender.next - seq) % 256 <= CLASH and sender.sums[seq] != 0 and sender.sums[seq] != checksum
             if near and not (sender.missed[seq] and sender.received + 1 - sender.missed[seq] <= WINDOW):
                 sender.clashes += 1
                 sender.contested[seq] = 1
             _jump(sender, seq)
-        sender.sums[seq] = checksum
+        sender.sums[seq], sender.times[seq] = checksum, frame.host_ns
         sender.received += 1
         seen[places[frame.sender] - 1, frame.row] += 1
         frame.heard = HEARD

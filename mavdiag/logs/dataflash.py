@@ -423,28 +423,31 @@ def _mav_type(texts: Table, parameters: Mapping[str, float]) -> int | None:
     if firmware is None:
         return None
     name = firmware[1].lower()
-    logged = _FRAME_CLASSES.get(frame[1], 0) if frame is not None else 0
-    frame_class = int(parameters.get("FRAME_CLASS", logged))
+    frame_class = int(parameters.get("FRAME_CLASS", _FRAME_CLASSES.get(frame[1], 0) if frame is not None else 0))
     if name == b"rover" and frame_class == _ROVER_BOAT:
         return _BOAT
     return _FIRMWARE_TYPES.get(name, _COPTER_TYPES.get(frame_class))
 
 
 def _armed(tables: Tables) -> tuple[Series, ...]:
-    """Arming changes, from ARM or else from EV. Early EV records carry no time: theirs is the last IMU record's."""
+    """Arming changes, from ARM or else from EV, and the state that the first one, if it arms, was a change of.
+
+    Early EV records carry no time: theirs is the last IMU record's.
+    """
     arm, event, clock = (tables[name] for name in ("ARM", "EV", "IMU"))
+    number, t_ns, armed = event.integers("Id"), event.t_ns, np.empty(0)
     if arm.has("ArmState"):
-        armed = np.minimum(arm.column("ArmState"), 1.0)
-        return () if arm.t_ns is None else (recorded(Signal.ARMED, arm.t_ns, armed),)
-    number, t_ns = event.integers("Id"), event.t_ns
-    if number is None:
+        t_ns, armed = arm.t_ns, np.minimum(arm.column("ArmState"), 1.0)
+    elif number is not None:
+        change = np.isin(number, (EVENT_ARMED, EVENT_DISARMED))
+        if t_ns is None and clock.t_ns is not None:
+            t_ns = clock.t_ns[np.maximum(np.searchsorted(clock.starts, event.starts) - 1, 0)]
+        t_ns, armed = None if t_ns is None else t_ns[change], (number[change] == EVENT_ARMED).astype(np.float64)
+    if t_ns is None or not len(armed):
         return ()
-    change = np.isin(number, (EVENT_ARMED, EVENT_DISARMED))
-    if t_ns is None and clock.t_ns is not None:
-        t_ns = clock.t_ns[np.maximum(np.searchsorted(clock.starts, event.starts) - 1, 0)]
-    if t_ns is None or not change.any():
-        return ()
-    return (recorded(Signal.ARMED, t_ns[change], (number[change] == EVENT_ARMED).astype(np.float64)),)
+    if armed[0] and clock.t_ns is not None and clock.t_ns[0] < t_ns[0]:
+        t_ns, armed = np.append(clock.t_ns[0], t_ns), np.append(0.0, armed)
+    return (recorded(Signal.ARMED, t_ns, armed),)
 
 
 def _started_ns(tables: Tables, series: tuple[Series, ...]) -> int:
@@ -473,8 +476,7 @@ def _recognise(head: bytes) -> bool:
 
     A telemetry log may carry such records as the content of its messages; its ninth byte begins one of those.
     """
-    amid = head.count(HEADER) >= MIN_HEADERS and head[8:9] not in (b"\xfd", b"\xfe")
-    return head.startswith(SIGNATURE) or amid
+    return head.startswith(SIGNATURE) or (head.count(HEADER) >= MIN_HEADERS and head[8:9] not in (b"\xfd", b"\xfe"))
 
 
 KIND = LogKind("DataFlash", _recognise, lambda path, *_: read_dataflash(path), (PROFILE,), RECORDED_GATE)

@@ -8,7 +8,8 @@ x_last is the last believed sample, T the usual period, `most` twice the healthy
 the two samples believed last where the healthy signal leaps less by it (n (n + 1)/2 then stands for n), else 0. What
 leaps waits: if it leaps back within 3 samples (2 at 50 Hz and below) it was a glitch; else, or if 5 of the 20 before
 leapt half as far, it is how the signal moves. What holds its last value does not wait. A stamp that leaps is lost until
-one follows.
+one follows, at the pace of the stream as it is now, for a ground station may have slowed it; but of outputs and rotor
+speeds, in which a monitor sees more than there is where they come more seldom than it learnt, at the healthy pace.
 
 A sample is *dead* if it repeats the one before for much longer than ever in health (gyro and accelerometer: each axis,
 within a twentieth of the quietest noise), and at once if all zero where no vehicle reads so. Then it is unknown. The
@@ -33,7 +34,7 @@ from mavdiag.units import NS_PER_S
 FAR = 2.0  # healthy leaps; a longer one is a glitch until it is seen again: it hardly shows in a mean (our choice)
 GLITCH_S, MOST_LOST = 0.03, 3  # an I2C glitch spoils up to three samples, and two may be struck (our choice)
 AMONG, OFTEN, AS_FAR = 20, 5, 0.5  # so many of the last samples that leapt so far are no glitches (our choice)
-OUT_OF_ORDER, EARLY = 1.5, 2.5  # periods back, and ahead: two samples that changed places are in order (our choice)
+OUT_OF_ORDER = 1.5  # periods back: two samples of a slow stream that changed places are in order (our choice)
 USUAL_SHARE = 0.95  # quantile of the largest leaps of the seconds of healthy flight (our choice: glitches are rarer)
 STILL_SHARE = 0.999  # quantile of the repetitions of the attitude's set-point that is the longest (our choice)
 STILL_FACTOR, STILL_MORE = 4.0, 2  # of the longest healthy repetition, and samples more (our choice)
@@ -47,7 +48,8 @@ RESOLUTION_FACTOR = 1.5  # of the healthy one: 2 mrad/s in place of 1 is another
 RESOLUTION_NOISE = 0.25  # of the rms step: a finer resolution than this is hidden by the noise (our choice)
 RESOLUTION_SAMPLES = 200  # before it is judged: the finest of so many steps of noise is far below that
 SAME = 1e-6  # rad/s: rounding of a conversion, no step
-REORDER_S = 0.05  # a stamp that leaps ahead by more must be followed by others (our choice, as rows wait for samples)
+SLOWEST_NS = 2 * NS_PER_S  # twice the step of a stream that is slower than in health, at most (our choice)
+REORDER_S = 0.05  # by so much rows wait for samples; a stamp that leaps farther must be followed by others (our choice)
 
 # Greatest size that a sensor of a small vehicle measures (gyros end at 70 rad/s, accelerometers at 3900 m/s^2; commands
 # and outputs at 1), and a leap that is believed at any rate, for flights may be livelier than these (our choice).
@@ -62,13 +64,16 @@ RANGES = {
     Signal.TORQUE_COMMAND: (10.0, 0.1),
     Signal.THRUST_SETPOINT: (10.0, 0.2),
     Signal.ACTUATOR: (10.0, 0.05),
+    Signal.ROTOR_SPEED: (math.inf, math.inf),  # the monitor bears wild frames itself
 }
 ANGLES = (Signal.ATTITUDE, Signal.ATTITUDE_SETPOINT)
-SENSORS = (Signal.BODY_RATE, Signal.SPECIFIC_FORCE)  # never silent, and each axis is a sensor of its own
+# Never silent, and each axis or rotor has a sensor of its own.
+SENSORS = (Signal.BODY_RATE, Signal.SPECIFIC_FORCE, Signal.ROTOR_SPEED)
 NEVER_ZERO = (Signal.SPECIFIC_FORCE, Signal.ACTUATOR)  # of a vehicle that flies
 # Their last value holds, so that rows do not wait for the next one: what leaps is lost at once.
-HELD = (Signal.THRUST_SETPOINT, Signal.HEIGHT, Signal.VIBRATION, Signal.ACTUATOR)
+HELD = (Signal.THRUST_SETPOINT, Signal.HEIGHT, Signal.VIBRATION, Signal.ACTUATOR, Signal.ROTOR_SPEED)
 MAY_REST = (Signal.HEIGHT,)  # may stay as it is for as long as it likes
+PACED = (Signal.ACTUATOR, Signal.ROTOR_SPEED)  # not used where they come more seldom than in health
 FINITE = (Signal.BODY_RATE, *ANGLES)  # rows read them without nan: a sample that is no number is lost
 TURN = 2 * np.pi
 
@@ -112,11 +117,9 @@ class Habit(BaseModel):
 
         taken: these columns; nothing is known of those that there are not.
         """
-        (whole, *each), columns, sensor = self.still, len(self.leap), self.signal in SENSORS
-        if sensor:
-            leap = [FAR * one if one > 0 else math.inf for one in self.leap]  # one that never moved may do so
-        else:
-            leap = [max(FAR * one, RANGES[self.signal][1]) for one in self.leap]
+        (whole, *each), columns, least = self.still, len(self.leap), RANGES[self.signal][1]
+        unmoved = math.inf if self.signal in SENSORS else least  # an axis that never moved may do so
+        leap = [max(FAR * one, least) if one > 0 else unmoved for one in self.leap]
         if self.signal is Signal.ATTITUDE_SETPOINT:
             longest = float(whole + STILL_MORE)
         else:
@@ -153,8 +156,8 @@ class LinkQuality(BaseModel):
         """
         taken = range(columns) if taken is None else taken
         rule = np.zeros(LEAP + 4 * len(taken) + 1)
-        kinds = (ANGLES, HELD, FINITE, NEVER_ZERO, MAY_REST)
-        rule[GYRO : RESTS + 1] = signal is Signal.BODY_RATE, *(signal in kind for kind in kinds)
+        kinds = (ANGLES, HELD, FINITE, NEVER_ZERO, MAY_REST, PACED)
+        rule[GYRO : KEEPS_PACE + 1] = signal is Signal.BODY_RATE, *(signal in kind for kind in kinds)
         rule[GREATEST] = RANGES.get(signal, (math.inf, 0.0))[0]
         habit = next((one for one in self.habits if (one.signal, len(one.leap)) == (signal, columns)), None)
         if habit is not None:
@@ -164,8 +167,7 @@ class LinkQuality(BaseModel):
                 period_s * NS_PER_S,
                 forgetting(JITTER_S, period_s),
                 min(max(round(GLITCH_S / period_s), 2), MOST_LOST),
-                round(OUT_OF_ORDER * period_s * NS_PER_S),
-                round(max(EARLY * period_s, pause_s) * NS_PER_S),
+                round(max(REORDER_S, OUT_OF_ORDER * period_s) * NS_PER_S),
                 round(max(REORDER_S, 3 * period_s, FAR * pause_s) * NS_PER_S),
                 signal in ANGLES and any(habit.leap),
                 habit.lowest if signal is Signal.THRUST_SETPOINT else -math.inf,
@@ -178,20 +180,18 @@ class LinkQuality(BaseModel):
 
 
 # Places in a rule: what the signal is: of the gyro, an angle, one whose last value holds, one that must be a number,
-# never zero in flight, may rest; its range; whether more is known of it: its period [ns] and the share of a sample in
-# the jitter, how many samples that leap may be lost, spans of stamps [ns], whether zeros are dead, below which value
-# nothing moves, variance of the jitter and step beyond which the gyro is doubted, whether a column leads.
-GYRO, ANGLE, HOLDS, MUST_BE_FINITE, NOT_ZERO, RESTS, GREATEST = range(7)
-LEARNT, PERIOD, ALPHA, PATIENCE, BACK, EARLY_NS, AHEAD, ZERO_IS_DEAD, LOWEST, MOST_JITTER, MOST_STEP, LEADING = range(
-    7, 19
-)
+# never zero in flight, may rest, keeps its pace; its range; whether more is known of it: its period [ns] and the share
+# of a sample in the jitter, how many samples that leap may be lost, spans of stamps [ns], whether zeros are dead, below
+# which value nothing moves, variance of the jitter and step beyond which the gyro is doubted, whether a column leads.
+GYRO, ANGLE, HOLDS, MUST_BE_FINITE, NOT_ZERO, RESTS, KEEPS_PACE, GREATEST = range(8)
+LEARNT, PERIOD, ALPHA, PATIENCE, BACK, AHEAD, ZERO_IS_DEAD, LOWEST, MOST_JITTER, MOST_STEP, LEADING = range(8, 19)
 LEAP = 19
 # Places in the figures: jitter, and how far the latest samples leapt; then of each column the last believed value, its
 # slope [1/ns], the value that came last, and the smallest step. In the counts: samples so far; stamps of the last one
-# that was believed, and that came [ns]; whether its stamp leapt; how many leapt lately; samples not lost; numbers of
-# those that leapt; repetitions.
+# that was believed, and that came [ns]; the step to the latter, 0 if it goes back [ns]; whether its stamp leapt; how
+# many leapt lately; samples not lost; numbers of those that leapt; repetitions.
 JITTER, SIZES, COLUMN = 0, 1, 1 + AMONG + MOST_LOST + 1
-COUNT, LAST_NS, CAME_NS, ALONE, FAR_COUNT, TRACED, NUMBERS = range(7)
+COUNT, LAST_NS, CAME_NS, STEP_NS, ALONE, FAR_COUNT, TRACED, NUMBERS = range(8)
 RUNS = NUMBERS + AMONG + MOST_LOST + 1
 STAMPS_CODE, RESOLUTION_CODE, FROZEN_CODE = (
     DOUBTS.index(one) for one in (Doubt.STAMPS, Doubt.RESOLUTION, Doubt.FROZEN)
@@ -237,10 +237,16 @@ def _away(s: Samples, column: int, value: float, span_ns: int) -> float:
     return _short(s, value - s.mem[at] - s.mem[at + s.columns] * span_ns)
 
 
+@inline
+def _ahead(s: Samples) -> float:
+    """How far a sample may be ahead of the one before and still follow it [ns]."""
+    return float(max(s.rule[AHEAD], 0.0 if s.rule[KEEPS_PACE] else min(FAR * s.counts[STEP_NS], SLOWEST_NS)))
+
+
 @jit
 def _size(s: Samples, column: int, away: float, span_ns: int) -> float:
     """How large that is for the time: above 1 it leaps; nan where it is not known."""
-    n = max(min(abs(span_ns), s.rule[AHEAD]) / s.rule[PERIOD], 1.0)
+    n = max(min(abs(span_ns), _ahead(s)) / s.rule[PERIOD], 1.0)
     grown = n * (n + 1.0) / 2.0 if s.rule[LEAP + s.columns + column] else n
     return float(abs(away) / grown / s.rule[LEAP + column])
 
@@ -263,7 +269,7 @@ def _plain(s: Samples, first: int, stop: int) -> int:
         if gyro:
             jitter = _scatter(s, jitter, t_ns[i] - (t_ns[i - 1] if i > first else counts[CAME_NS]))
         span_ns = t_ns[i] - (t_ns[i - 1] if i > first else counts[LAST_NS])
-        if not -rule[BACK] <= span_ns <= rule[EARLY_NS] or (gyro and jitter > rule[MOST_JITTER]):
+        if not -rule[BACK] <= span_ns <= rule[AHEAD] or (gyro and jitter > rule[MOST_JITTER]):
             stop = i
             break
     for column in range(columns):
@@ -288,19 +294,11 @@ def _plain(s: Samples, first: int, stop: int) -> int:
 
 
 @jit
-def _misdated(s: Samples, there: int, i: int) -> int:
-    """1 if the stamp of a sample leaps by the last believed and the next one, 0 if not; -1 if the next must come."""
-    rule, span_ns = s.rule, s.t_ns[i] - s.counts[LAST_NS]
-    followed = s.counts[ALONE] > 0 and abs(s.t_ns[i] - s.counts[CAME_NS]) <= rule[AHEAD]
-    if -rule[BACK] <= span_ns <= rule[EARLY_NS] or followed:
-        return 0
-    if span_ns < 0 or span_ns > rule[AHEAD]:
-        return 1
-    if rule[HOLDS]:
-        return 0
-    if i + 1 == there:
-        return -1
-    return 1 if s.t_ns[i + 1] - s.t_ns[i] < -rule[BACK] else 0
+def _misdated(s: Samples, i: int) -> bool:
+    """Whether the stamp of a sample leaps, by the last believed one and the one before."""
+    ahead_ns = _ahead(s)
+    followed = s.counts[ALONE] > 0 and abs(s.t_ns[i] - s.counts[CAME_NS]) <= ahead_ns
+    return not (followed or -s.rule[BACK] <= s.t_ns[i] - s.counts[LAST_NS] <= ahead_ns)
 
 
 @jit
@@ -390,6 +388,7 @@ def _measure(s: Samples, first: int, stop: int, seen: FloatArray, runs: IntArray
             jitter, before_ns = _scatter(s, jitter, s.t_ns[i] - before_ns), s.t_ns[i]
         if noted:
             seen[0], seen[1 + columns] = max(seen[0], traced[i - first]), max(seen[1 + columns], jitter)
+    counts[STEP_NS] = max(s.t_ns[stop - 1] - (s.t_ns[stop - 2] if stop - 1 > first else counts[CAME_NS]), 0)
     mem[JITTER], counts[RUNS], counts[CAME_NS] = jitter, same, s.t_ns[stop - 1]
     counts[COUNT] += stop - first
     resolution = coarsest if counts[COUNT] > RESOLUTION_SAMPLES and math.isfinite(coarsest) else 0.0
@@ -489,10 +488,8 @@ def look_at(s: Samples, waited: int, seen: FloatArray, runs: IntArray) -> tuple[
             kept, done = kept + stop - done, stop
             continue
         if s.rule[LEARNT]:
-            misdated = _misdated(s, there, done)
-            if misdated < 0:
-                break
-            s.counts[ALONE], lost = misdated, misdated > 0
+            lost = _misdated(s, done)
+            s.counts[ALONE] = int(lost)
             if not lost:
                 run, lost = _decide(s, there, done)
                 if run == 0:
@@ -510,11 +507,9 @@ NO_FIGURES, NO_RUNS = np.empty(0), np.empty(0, dtype=np.int64)
 
 def believed(quality: LinkQuality, telemetry: Telemetry) -> Telemetry:
     """A log without its lost samples, nan where it is dead; the gyro with a fourth column, a place in `DOUBTS`."""
-    looked = []
-    for series in telemetry.series:
-        columns = series.values.shape[1]
-        looked.append(_looked(quality.rule(series.signal, columns), Memory(columns), series))
-    return Telemetry(tuple(series for series in looked if len(series)))
+    sized = ((one, one.values.shape[1]) for one in telemetry.series)
+    looked = (_looked(quality.rule(one.signal, columns), Memory(columns), one) for one, columns in sized)
+    return Telemetry(tuple(filter(len, looked)))
 
 
 def adds_nothing(quality: LinkQuality, pieces: Iterable[Telemetry]) -> bool:
@@ -579,8 +574,7 @@ def learnt_quality(flights: Iterable[tuple[Telemetry, Sequence[tuple[int, int]]]
             steps = [float(seen[-1]) for seen, _ in watched]
         still = longest.astype(int).tolist()
         habits.append(habit.model_copy(update={"still": tuple(still if signal in SENSORS else still[:1])}))
-    resolution = min((step for step in steps if step > 0), default=0.0)
-    return LinkQuality(habits=tuple(habits), jitter=jitter, resolution_rad_s=resolution)
+    return LinkQuality(habits=tuple(habits), jitter=jitter, resolution_rad_s=min(filter(None, steps), default=0.0))
 
 
 def _between(series: Series, first_ns: int, last_ns: int) -> Series:
@@ -588,8 +582,7 @@ def _between(series: Series, first_ns: int, last_ns: int) -> Series:
     most, finite, wrong = RANGES[series.signal][0], series.signal in FINITE, np.zeros(len(series), dtype=np.bool_)
     for column in series.values.T:
         wrong |= (np.abs(column) > most) | (np.isnan(column) & finite)
-    if wrong.any():
-        series = series.where(~wrong)
+    series = series.where(~wrong) if wrong.any() else series
     t_ns = series.t_ns
     if np.all(t_ns[1:] > t_ns[:-1]):  # a part of the same memory
         at: IntArray | slice = slice(int(t_ns.searchsorted(first_ns)), int(t_ns.searchsorted(last_ns, side="right")))
@@ -651,9 +644,8 @@ def _by_second(t_ns: IntArray, values: FloatArray, angle: bool, period_ns: float
         second[0] += 1.0
         second[1] = max(second[1], span_ns)
         for column in range(columns):
-            step, before = values[column, i] - values[column, i - 1], np.nan
-            if i > 1:
-                before = values[column, i - 1] - values[column, i - 2]
+            step = values[column, i] - values[column, i - 1]
+            before = values[column, i - 1] - values[column, i - 2] if i > 1 else np.nan
             if angle:
                 step, before = step - TURN * np.round(step / TURN), before - TURN * np.round(before / TURN)
             bend = step - before / (t_ns[i - 1] - t_ns[i - 2]) * span_ns if i > 1 else np.nan

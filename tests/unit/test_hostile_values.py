@@ -13,7 +13,7 @@ from made_telemetry import cut
 import mavdiag as md
 from mavdiag.judging import LogVerdict
 from mavdiag.rows.align import HI, LO, PLACES, AlignSpec
-from mavdiag.rows.quality import LinkQuality, adds_nothing, learnt_quality
+from mavdiag.rows.quality import LinkQuality, adds_nothing, believed, learnt_quality
 from mavdiag.telemetry import FloatArray, IntArray, Log, Series, Signal, Telemetry
 
 N, AT = 3000, 1600
@@ -202,6 +202,15 @@ def test_what_was_learnt_believes_all_of_its_own_log_and_not_an_error_in_it() ->
     assert adds_nothing(smooth(), [Telemetry((series,))])
     assert not adds_nothing(smooth(), [wrong])
     assert adds_nothing(LinkQuality(), [wrong])
+
+
+@pytest.mark.parametrize(("signal", "used"), [(Signal.HEIGHT, 79), (Signal.ROTOR_SPEED, 1)])
+def test_a_stream_in_any_order_or_slower_is_used_but_no_slower_rotor_speeds(signal: Signal, used: int) -> None:
+    series = replace(turning(), signal=signal, values=turning().values[:, : signal.width or 3])
+    quality = learnt_quality([(Telemetry((series,)), [(0, int(series.t_ns[-1]))])])
+    mixed = np.argsort(np.arange(3000) + 2.9 * np.random.default_rng(1).random(3000))  # by up to 20 ms
+    for order, count in ((mixed, 3000), (np.r_[:1000, 1000:3000:25], 1000 + used)):
+        assert len(believed(quality, Telemetry((series.where(order),))).need(signal)) == count
 
 
 @pytest.mark.parametrize("leaps", [1.2, 1.8, 2.4, 10.0])

@@ -298,12 +298,16 @@ def test_format_characters_carry_their_multiplier_and_angles_become_radians(tmp_
     log = read_bin(tmp_path, dataflash([ATT], [ATT.record(5_000, 1000, 1100, -500, -400, 350.0, 10.0)]))
     assert first(log, Signal.ATTITUDE_SETPOINT) == pytest.approx([math.radians(a) for a in (10, -5, -10)])
     assert first(log, Signal.ATTITUDE) == pytest.approx([math.radians(a) for a in (11, -4, 10)])
-    assert log.telemetry.need(Signal.ATTITUDE).t_ns.tolist() == [5_000_000]
-    assert log.profile == "ardupilot-log"
+    assert (log.telemetry.need(Signal.ATTITUDE).t_ns.tolist(), log.profile) == ([5_000_000], "ardupilot-log")
+
+
+def test_what_arms_was_disarmed_before(tmp_path: Path) -> None:
+    arm = DataFlashMessage(11, "ARM", "QB", "TimeUS,ArmState")
+    log = read_bin(tmp_path, dataflash([IMU, arm], [imu(1_000), arm.record(2_000, 1), arm.record(3_000, 0)]))
+    assert log[Signal.ARMED].values[:, 0].tolist() == [0, 1, 0]
 
 
 def test_where_there_is_ang_it_tells_the_attitude_and_its_set_point(tmp_path: Path) -> None:
-    """Newer logs of ArduCopter: their ATT has 10 Hz."""
     ang = DataFlashMessage(71, "ANG", "Qffffff", "TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw")
     records = [ang.record(1_000 * k, 1.0, 2.0, 3.0, 4.0, 350.0, 6.0) for k in (1, 2)]
     log = read_bin(tmp_path, dataflash([ATT, ang], [ATT.record(1_000, 0, 0, 0, 0, 0.0, 0.0), *records]))
@@ -320,7 +324,6 @@ def test_damaged_stamps_cost_their_samples_alone(tmp_path: Path, damaged: list[i
 
 @pytest.mark.parametrize("message", [OLD_RATE, RATE])
 def test_rate_was_in_hundredths_up_to_copter_3_3(tmp_path: Path, message: DataFlashMessage) -> None:
-    """Among the records of an IMU that turns at 10 deg/s."""
     unit, values, turn = 1 if message is OLD_RATE else 1_000, (2000, 1000, 450, *[0] * 6), math.radians(10)
     told = [(imu(k * 1_000, turn), message.record((k + 1) * unit, *values)) for k in (1, 3)]
     log = read_bin(tmp_path, dataflash([IMU, message], [record for pair in told for record in pair]))
