@@ -23,12 +23,12 @@ DETECTOR = "mavdiag-detector --baseline baseline.json"
 SCAN = "mavdiag scan a.tlog --baseline baseline.json"
 REFUSED = [
     ("sitl-plant run --fault F9/SV1", "no fault 'F9/SV1': give F1, F2 or F3"),
-    ("sitl-plant run --phenomenology 7", "'--phenomenology'"),
+    *((f"sitl-plant run --{wrong}", "Invalid value for '--") for wrong in ("phenomenology 7", "wind nan", "wind -1")),
+    ("sitl-plant run --propellers nan", "propellers must spread by 0 to 20%, not nan%"),
     ("sitl-plant run --onset 3", "--onset needs a fault"),
     ("sitl-plant run --rate 5000", "rate must be 1 to 1000 Hz"),
     ("sitl-plant run --profile betaflight", "no link profile betaflight"),
     ("sitl-plant run --speed fast", "speed must be 0.01 to 100, or max"),
-    ("sitl-plant run --duration -1", "duration must be positive"),
     ("sitl-plant record -o t.tlog --duration inf", "duration must be positive and at most 1e+06 s"),
     ("sitl-plant run --out udpout:localhost", "malformed address"),
     ("sitl-plant run --out /dev/no-such-tty,57600", "no such device"),
