@@ -168,8 +168,7 @@ class Server:
             self._tell()
 
     def _tell(self) -> None:
-        watched = self._board.watched
-        if watched != self._told:
+        if (watched := self._board.watched) != self._told:
             self._told = watched
             _to_daemon(" ".join(("watch", *map(str, watched))))
 
