@@ -70,8 +70,7 @@ def _files_and_ports(settings: Settings) -> Iterator[str]:
         check_installed("--history", "SQLAlchemy", "history")
         yield f"history    {settings.history}; flights wait in {settings.flights}"
     if settings.metrics is not None:
-        host, port = split_address(settings.metrics, "metrics")
-        yield f"metrics    http://{host}:{port}/metrics"
+        yield f"metrics    {Access(*split_address(settings.metrics, 'metrics')).url}metrics"
     if settings.web is not None:
         check_installed("--web", "aiohttp", "web")
         token = None if settings.web_token_file is None else read_token(settings.web_token_file)

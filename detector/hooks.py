@@ -56,7 +56,7 @@ def parse_hook(text: str) -> Deliver:
 
 def _run(words: list[str], line: bytes) -> None:
     try:
-        subprocess.run(words, input=line, stdout=subprocess.DEVNULL, timeout=RUN_S, check=True)
+        subprocess.run(words, input=line + b"\n", stdout=subprocess.DEVNULL, timeout=RUN_S, check=True)
     except subprocess.SubprocessError as error:
         raise OSError(str(error)) from error
 

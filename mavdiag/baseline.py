@@ -70,14 +70,14 @@ class Link(Part):
     profile: str
     dt_s: Positive  # row period
     grid: Grid
-    max_gap_s: Positive  # that is interpolated
+    max_gap_s: Annotated[float, Field(gt=0, le=600)]  # that is interpolated
     gate: GateSpec
 
 
 class Window(Part):
     """The Savitzky-Golay window, odd, and its polynomial order."""
 
-    samples: Annotated[int, Field(ge=3)]
+    samples: Annotated[int, Field(ge=3, le=1_000_001)]
     order: Annotated[int, Field(ge=1)]
 
     @model_validator(mode="after")

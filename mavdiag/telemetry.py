@@ -235,12 +235,11 @@ class Log(Tabular):
             except (TypeError, ValueError) as error:
                 raise InputError(f"{signal}: no array of numbers: {error}") from error
             columns = columns[:, None] if columns.ndim == 1 else columns
-            width = Signal(signal).width
-            if times.ndim != 1 or columns.ndim != 2 or len(times) != len(columns) or not np.isfinite(times).all():
-                raise InputError(
-                    f"{signal}: give finite times (n,) and values (n, k), not {times.shape}, {columns.shape}"
-                )
-            if width not in (None, columns.shape[1]):
+            known = (np.abs(times) < 2**63 / NS_PER_S).all()  # what nanoseconds in 64 bits can hold
+            if not known or columns.ndim != 2 or times.shape != columns.shape[:1]:
+                shapes = f"not {times.shape}, {columns.shape}" if known else "not NaN or beyond 292 years"
+                raise InputError(f"{signal}: give times (n,) in seconds and values (n, k), {shapes}")
+            if (width := Signal(signal).width) not in (None, columns.shape[1]):
                 raise InputError(f"{signal}: it has {width} columns, not {columns.shape[1]}")
             t_ns = np.round(times * NS_PER_S).astype(np.int64)
             series.append(Series(Signal(signal), t_ns, t_ns, columns))

@@ -29,7 +29,7 @@ VehicleName: TypeAlias = Annotated[str, Option("--vehicle", metavar="NAME|FILE.t
 Drone: TypeAlias = Annotated[int, Option(help="Specimen of the vehicle: 1 (aged), 2 or 3 (new).")]
 FaultCode: TypeAlias = Annotated[str | None, Option(metavar="CODE", help="Propeller fault, F1/SV1 to F3/SV3.")]
 Phenomenology: TypeAlias = Annotated[float, Option(min=0.0, max=1.0, help=_PHENOMENOLOGY)]
-Wind: TypeAlias = Annotated[float, Option(metavar="M_S", help="Mean wind, with gusts.")]
+Wind: TypeAlias = Annotated[float, Option(min=0.0, max=30.0, metavar="M_S", help="Mean wind, with gusts.")]
 W20: TypeAlias = Annotated[float, Option(metavar="W20", help=_TURBULENCE)]
 PayloadKg: TypeAlias = Annotated[float, Option(metavar="KG", help="Point mass below the body.")]
 _TRUTH = "Write what really happened; it never goes over the link."

@@ -10,6 +10,7 @@ or `refused REASON` and ends; later it says `watch VEHICLE ...` whenever that ch
 import asyncio
 import contextlib
 import json
+import logging
 import os
 import signal
 import sys
@@ -19,6 +20,7 @@ from math import isfinite
 from pathlib import Path
 
 from aiohttp import web
+from aiohttp.http import HttpProcessingError
 
 from detector.web.access import ACKNOWLEDGE, HEADERS, PLAY, POSTED, Access, Answer
 from detector.web.board import Board, Reader, is_vehicle, parse_last
@@ -166,8 +168,7 @@ class Server:
             self._tell()
 
     def _tell(self) -> None:
-        watched = self._board.watched
-        if watched != self._told:
+        if (watched := self._board.watched) != self._told:
             self._told = watched
             _to_daemon(" ".join(("watch", *map(str, watched))))
 
@@ -186,6 +187,8 @@ async def _serve() -> None:
     await asyncio.get_running_loop().connect_read_pipe(lambda: asyncio.StreamReaderProtocol(lines), sys.stdin)
     told = json.loads(await lines.readline())
     os.nice(told["niceness"])
+    errors = logging.getLogger("aiohttp.server")  # what is no HTTP is answered with 400, and no error of ours
+    errors.addFilter(lambda said: not (said.exc_info and isinstance(said.exc_info[1], HttpProcessingError)))
     server = Server(Access(told["host"], 0, told["token"], tuple(told["names"])), Board(told["run"]))
     runner = web.AppRunner(server.application(), access_log=None, handler_cancellation=True, shutdown_timeout=0.2)
     await runner.setup()

@@ -9,7 +9,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, NonNegativeFloat, PositiveFloat, Tag, ValidationError
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, PositiveFloat, Tag, ValidationError
 
 from mavdiag.airframe.airframe import Airframe, Scope
 from mavdiag.airframe.layout import LAYOUTS, Place, RotorLayout, layout_at, layout_named, layout_of_effects
@@ -48,8 +48,8 @@ class _Gate(_Table):
     min_height_m: float | None = None
     min_thrust: Annotated[float, Field(ge=0, le=1)] | None = None
     need_armed: bool = True
-    trim_start_s: NonNegativeFloat = 3.0
-    trim_end_s: NonNegativeFloat = 0.0
+    trim_start_s: Annotated[float, Field(ge=0, le=600)] = 3.0
+    trim_end_s: Annotated[float, Field(ge=0, le=600)] = 0.0
 
 
 class _File(_Table):

@@ -63,8 +63,8 @@ def axes_of(choice: AxisChoice) -> tuple[Axis, ...]:
 
 def parse_order(text: str) -> Order:
     """Three whole numbers. Raises UsageError, showing the notation."""
-    if not re.fullmatch(r"\s*\d+\s*,\s*\d+\s*,\s*\d+\s*", text):
-        raise UsageError(f"order {text!r}: write three whole numbers like 2,2,1 (na,nb,nk)")
+    if not re.fullmatch(r"\s*1?\d\s*,\s*1?\d\s*,\s*1?\d\s*", text):
+        raise UsageError(f"order {text!r}: write three whole numbers like 2,2,1 (na,nb,nk), each below 20")
     na, nb, nk = map(int, text.split(","))
     return na, nb, nk
 

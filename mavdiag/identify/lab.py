@@ -33,6 +33,7 @@ from mavdiag.identify.arx import (
     to_segments,
 )
 from mavdiag.identify.estimate import ResidualReport
+from mavdiag.storage import replacing
 from mavdiag.telemetry import Axis, FloatArray
 
 if TYPE_CHECKING:
@@ -319,11 +320,10 @@ def draw_model(
             panel.hlines((-band, band), 0, len(values) - 1, linestyles="--", color="grey")
             panel.set(xlabel="lag [samples]", title=label)
     try:
-        picture.savefig(path)
+        with replacing(path) as file:
+            picture.savefig(file, format=path.suffix.removeprefix("."))
     except ValueError as error:
         raise UsageError(f"{path}: name a file that ends in .svg, .png or .pdf") from error
-    except OSError as error:
-        raise UsageError(f"{path}: cannot be written ({error.strerror or error}); name another file") from error
 
 
 def _bode(panels: "tuple[Axes, Axes]", model: ArxModel, measured: FrequencyResponse | None) -> None:

@@ -138,7 +138,7 @@ def with_propellers(airframe: Airframe, spread: float, rng: np.random.Generator)
     Raises UsageError for a spread that is no small share.
     """
     if not 0.0 <= spread <= MOST_SPREAD:
-        raise UsageError(f"propellers must spread by 0 to {MOST_SPREAD:g}, not {spread:g}")
+        raise UsageError(f"propellers must spread by 0 to {MOST_SPREAD:.0%}, not {spread:.0%}")
     n = len(airframe.vehicle.rotors)
     thrust = 1.0 + rng.uniform(-spread, spread, n)
     size = airframe.vehicle.propulsion.unbalance_max_g_mm * rng.random(n)
@@ -168,11 +168,9 @@ def in_session_number(airframe: Airframe, session: int, spread: float = 0.0) -> 
     """
     if session < 0:
         raise UsageError(f"session must be zero or more, not {session}")
-    if session == 0 and spread == 0.0:
-        return airframe
     rng = np.random.default_rng([0x5E55, session, *airframe.name.encode()])
     today = in_session(airframe, rng) if session else airframe
-    return with_propellers(today, spread, rng) if spread > 0.0 else today
+    return with_propellers(today, spread, rng) if spread else today
 
 
 def _vectors(size: FloatArray, rng: np.random.Generator) -> FloatArray:

@@ -333,7 +333,7 @@ REFUSED = [
     ('name = "a"\nhover_rpm = nan', "hover_rpm: Input should be a finite number"),
     ('name = "a"\nlayout = "tri"', "layout: no layout 'tri': use one of qdrone2, "),
     ('name = "a"\n[gate]\nmin_hight_m = 1', "gate.min_hight_m: no such key"),
-    ('name = "a"\n[gate]\nneed_armed = 1', "gate.need_armed: Input should be a valid boolean"),
+    ('name = "a"\n[gate]\ntrim_start_s = 1e12', "gate.trim_start_s: Input should be less than or equal to 600"),
     (f'name = "a"\nlayout = "x"\n{PLACE}', "rotors: give either rotors or the name of a layout"),
     (f'name = "x"\n{PLACE}', "rotors: x is a known layout: give these rotors another name"),
     (f'name = "a"\n{PLACE}', "rotors: layout a: its rotors cannot command roll, pitch and yaw independently"),
