@@ -155,7 +155,9 @@ class Innovation(Monitor[InnovationSpec]):
             squares = np.square(stacked[-1] - theta @ stacked[:-1])
             if squares.mean() == 0.0:
                 raise IdentificationError(CONSTANT)
-            laws.append(variance_law(squares, busy[axis]))
+            steps = np.abs(np.diff(stacked[-1]))
+            (k0, k1), resolution = variance_law(squares, busy[axis]), float(steps[steps > 0.0].min())
+            laws.append((max(k0, resolution**2 / 12.0), k1))  # a gyro that rests on one value says no less
             a.append(_four(theta[:LAG]))
             b.append(_four(theta[LAG:]))
         found = InnovationSpec(

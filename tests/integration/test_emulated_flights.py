@@ -84,6 +84,25 @@ def test_a_flight_that_turns_its_nose_says_nothing_against_hovers() -> None:
     assert (found.grade, found.weak) == ("A", "")  # the trim of a nose that always turns lies apart by 11 % of hover
 
 
+@pytest.mark.parametrize(
+    ("learnt", "flown"),
+    [
+        (("hover", "fixed"), ("square", "fixed")),
+        (("square", "fixed"), ("hover", "fixed")),
+        (("square", "path"), ("hover", "fixed")),
+        (("figure8", "path"), ("square", "path")),
+        (("circle", "path"), ("hover", "fixed")),
+    ],
+)
+def test_healthy_flights_of_another_kind_than_was_learnt_are_no_faults(
+    learnt: tuple[str, str], flown: tuple[str, str]
+) -> None:
+    base = taught(range(1, 4), 40.0, trajectory=learnt[0], nose=learnt[1])
+    (log,) = healthy_flights([11], 40.0, trajectory=flown[0], nose=flown[1])
+    found = judge(log, base)
+    assert found.verdict != Verdict.FAULT, found.reason
+
+
 def test_the_estimated_unbalance_is_that_of_the_table_and_placed() -> None:
     monitor = Unbalance(*Unbalance.fit([fly(11), fly(12)], LearnContext(QDRONE2, None, 0.001, 101)))
     found = [(one.level[one.valid], one.rotors[one.valid]) for one in monitor.over(fly(51, "F3/SV1", 2, seconds=6.0))]
