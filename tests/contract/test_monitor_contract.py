@@ -195,13 +195,13 @@ def test_the_variance_law_is_the_likeliest(seed: int, slope: float) -> None:
     busy = rng.exponential(1.0, 500)
     squares = np.maximum(1.0 + slope * busy, 0.05) * rng.standard_normal(500) ** 2
 
-    def cost(k: tuple[float, float]) -> float:  # of minus the logarithm of the likelihood
+    def cost(k: FloatArray) -> float:  # of minus the logarithm of the likelihood
         variance = k[0] + k[1] * busy
         return float(np.mean(np.log(variance) + squares / variance))
 
     mean = float(squares.mean())
     best = minimize(cost, (mean, 0.1), bounds=((0.05 * mean, None), (0.0, None)))
-    assert cost(variance_law(squares, busy)) < best.fun + 0.01
+    assert cost(np.array(variance_law(squares, busy))) < best.fun + 0.01
 
 
 @pytest.mark.parametrize(

@@ -143,12 +143,12 @@ def test_why_it_cannot_judge() -> None:
 def turning(seconds: float, seed: int, law: Three, nose: float = 1.0, waves: Sequence[float] = (0.6, 1.7)) -> Rows:
     """A vehicle whose nose turns to and fro, commanded by m + b3 dm/dt = b1 r + b2 dr/dt of hover."""
     rng, n = np.random.default_rng(seed), round(seconds / 0.01)
-    t, waves, (b1, b2, b3) = 0.01 * np.arange(n), np.array(waves), law
-    turn = nose * np.exp(1j * (np.outer(t, waves) + 1.0))  # the law is linear: each wave passes it alone
+    t, w, (b1, b2, b3) = 0.01 * np.arange(n), np.array(waves), law
+    turn = nose * np.exp(1j * (np.outer(t, w) + 1.0))  # the law is linear: each wave passes it alone
     rate = np.stack((0 * t, 0 * t, turn.imag.sum(axis=1)), axis=1) + rng.normal(0.0, 0.01, (n, 3))
-    yaw = (turn * (b1 + 1j * waves * b2) / (1 + 1j * waves * b3)).imag.sum(axis=1)
-    w = np.outer(yaw, layout_named("x").mixing[:, 2])
-    return example_rows(n, rate=rate, actuator=0.5 * (1 + w) + rng.normal(0.0, 0.002, (n, 4)))
+    yaw = (turn * (b1 + 1j * w * b2) / (1 + 1j * w * b3)).imag.sum(axis=1)
+    apart = np.outer(yaw, layout_named("x").mixing[:, 2])
+    return example_rows(n, rate=rate, actuator=0.5 * (1 + apart) + rng.normal(0.0, 0.002, (n, 4)))
 
 
 @pytest.mark.parametrize("law", [(0.1, 0.05, 0.0), (0.0, 0.03, 0.2), (-0.05, 0.08, 0.1), (0.0, 0.04, 0.17)])
