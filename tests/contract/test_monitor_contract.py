@@ -25,7 +25,7 @@ from mavdiag.monitors.rotor_signature import RotorSignature
 from mavdiag.monitors.rotor_trim import RotorTrim
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
-from mavdiag.telemetry import Signal, Telemetry
+from mavdiag.telemetry import FloatArray, Signal, Telemetry
 
 SAMPLES = 3200
 STOP_S = 20.0

@@ -477,9 +477,9 @@ def test_each_value_counts_by_the_farthest_bin_behind_it(memory_s: float, wild: 
     flight = turned(turns)
     covered = [YAW, Covered(Condition.TILT, 0.0, 0.3), Covered(Condition.COMMANDED_RATE, 0.0, 0.01)]
     found, reasons = ones_judged(covered, flight, Ones({Condition.YAW_RATE, Condition.HEIGHT}, memory_s))
-    bins, outside, delay_ns = measured(flight), 0, 20_000_000 + 100_000_000
+    bins, outside = measured(flight), 0
     for t, value, level, valid in zip(found.t_ns.tolist(), found.value, found.level, found.valid, strict=True):
-        behind = (bins.end_ns > t - round(memory_s * 1e9)) & (bins.end_ns <= t - delay_ns)
+        behind = (bins.end_ns > t - round(memory_s * 1e9)) & (bins.end_ns <= t)
         far = max(excess(YAW, *column(bins, Condition.YAW_RATE)[behind].tolist()), default=0.0)
         assert value == pytest.approx(level / (1.0 + RULES[Condition.YAW_RATE].room * min(far, 1.0)))
         assert valid == (far <= 1.0)
