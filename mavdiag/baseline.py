@@ -1,4 +1,4 @@
-"""The baseline artefact `mavdiag.baseline/6`: what a healthy airframe looks like over one link, and at what price.
+"""The baseline artefact `mavdiag.baseline/7`: what a healthy airframe looks like over one link, and at what price.
 
 It is a contract: the airframe, the link profile and rate, each monitor's fit and threshold with the flights that
 support it, where the data came from, and a digest over all of it. Loading refuses what does not fit, naming the field.
@@ -182,7 +182,7 @@ class Provenance(Part):
 class Baseline(Part, Tabular):
     """The whole artefact."""
 
-    schema_id: Literal["mavdiag.baseline/6"] = Field(alias="schema", default="mavdiag.baseline/6")
+    schema_id: Literal["mavdiag.baseline/7"] = Field(alias="schema", default="mavdiag.baseline/6")
     airframe: Airframe
     link: Link
     window: Window

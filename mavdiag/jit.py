@@ -19,9 +19,7 @@ from types import ModuleType
 from typing import Any, Literal, ParamSpec, Protocol, TypeVar, cast
 
 import numba
-import numpy as np
 
-vars(np).setdefault("f2py", None)  # scipy asks for all that numpy has, and f2py would take a thirtieth of the start
 P = ParamSpec("P")
 R = TypeVar("R")
 

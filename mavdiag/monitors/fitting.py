@@ -66,13 +66,7 @@ def cut_to_share(lengths: Sequence[int], most: int, least: int = 1) -> list[int]
 
 
 def held_law(
-    y: FloatArray,
-    x: FloatArray,
-    prior: FloatArray,
-    covariance: FloatArray,
-    floor: float,
-    window: int,
-    held: float = 0.0,
+    y: FloatArray, x: FloatArray, prior: FloatArray, covariance: FloatArray, floor: float, window: int, held: float = 0
 ) -> tuple[FloatArray, FloatArray]:
     """b of y = x b, (n,) and (n, k), by least squares with a prior, (k,) and (k, k); and its covariance, (k, k).
 

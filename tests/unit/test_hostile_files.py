@@ -92,7 +92,7 @@ def test_a_file_without_end_is_refused_by_its_size(reader: str, tmp_path: Path) 
     assert "is too large" in refused(reader, tmp_path / "sparse")
 
 
-SCHEMA = '{"schema": "mavdiag.baseline/6", '
+SCHEMA = '{"schema": "mavdiag.baseline/7", '
 TEXTS = {
     "deep list": "[" * 2_000_000,
     "deep table": SCHEMA + '"monitors": ' + '{"a":' * 200_000,
