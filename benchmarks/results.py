@@ -53,6 +53,10 @@ SECTIONS: dict[str, tuple[str, ...]] = {
         f"--conditions condition={BUILT_IN} --fresh -o TEMPORARY/built_in.jsonl",
         "python benchmarks/vehicle_campaigns.py --seed 9",
     ),
+    "other_kinds": (
+        "python benchmarks/other_kinds.py",
+        "python benchmarks/other_kinds.py --profile px4 --seed 700",
+    ),
     "hostile": (
         "python benchmarks/hostile_values.py --shared FOLDER/.. --seed 1",
         "python benchmarks/latched_faults.py --flights 3",

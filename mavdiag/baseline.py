@@ -182,7 +182,7 @@ class Provenance(Part):
 class Baseline(Part, Tabular):
     """The whole artefact."""
 
-    schema_id: Literal["mavdiag.baseline/7"] = Field(alias="schema", default="mavdiag.baseline/6")
+    schema_id: Literal["mavdiag.baseline/7"] = Field(alias="schema", default="mavdiag.baseline/7")
     airframe: Airframe
     link: Link
     window: Window
