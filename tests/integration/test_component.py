@@ -203,8 +203,7 @@ def test_only_a_newer_set_of_propellers_closes_an_inspection_by_itself(tmp_path:
     for propellers in (None, 0, 2):
         held = again.held(7, propellers)
         assert (held.stage, held.rotor, [one.rotor for one in held.rotors]) == (Stage.INSPECT, 4, [1, 4])
-    assert again.held(9, 0) == NOTHING_SEEN
-    assert again.held(7, 3) == NOTHING_SEEN
+    assert again.held(9, 0) == again.held(7, 3) == NOTHING_SEEN
     again.flush()
     assert inspections.read_open(journal).keys() == {8}
     again.take(8, change(Stage.NOT_JUDGED), "digest", 0, "")

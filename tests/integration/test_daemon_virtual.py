@@ -315,9 +315,7 @@ def finds_a_fault(bench: Bench) -> bool:
 
 
 @pytest.mark.parametrize(("cut_s", "reboots"), [(1.0, 0), (60.0, 0), (4.0, 1)])
-def test_a_vehicle_that_was_not_heard_or_rebooted_is_judged_again(
-    watching: Benches, cut_s: float, reboots: int
-) -> None:
+def test_a_vehicle_that_was_silent_or_rebooted_is_judged_again(watching: Benches, cut_s: float, reboots: int) -> None:
     bench = watching()
     for _ in range(round(cut_s / TICK_S)):  # it flies on, and nothing of it arrives
         bench.vehicles[0].samples(round(TICK_S * RATE_HZ))

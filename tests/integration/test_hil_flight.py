@@ -538,8 +538,6 @@ def test_only_the_vehicles_that_are_named_get_the_fault() -> None:
 
 
 # The run loop over in-memory links, as fast as it goes: what is said, answered and passed on
-
-
 def test_an_alert_is_passed_on_in_its_senders_name() -> None:
     """At the far ends of two links are a ground station and a companion computer."""
     with ExitStack() as stack:

@@ -187,9 +187,7 @@ def test_l6_every_part_of_a_flight_gives_the_layout_or_none(name: str, layout: s
 
 
 @pytest.mark.parametrize(("autopilot", "teaching"), [("ap463", 0), ("px4", 1)])
-def test_an_autopilot_in_the_loop_names_the_damaged_motor_and_is_silent_in_health(
-    autopilot: str, teaching: int
-) -> None:
+def test_an_autopilot_in_the_loop_names_the_damaged_motor_or_none_in_health(autopilot: str, teaching: int) -> None:
     """A half of the healthy flight teaches, the other half and the flight with F2/SV2 on motor 4 are judged."""
     folder = shared("data/autopilots_in_the_loop")
     healthy, faulty = (md.read_log(folder / f"{autopilot}_hil_{name}.tlog") for name in ("healthy", "F2SV2_rotor1"))
@@ -281,8 +279,7 @@ def test_the_body_follows_its_setpoint_with_the_same_sign(number: int, axis: int
     demand = savgol_filter(telemetry.need(Signal.ATTITUDE_SETPOINT).values[:, axis], 11, 2, deriv=1, delta=DT_S)
     rate = savgol_filter(telemetry.need(Signal.BODY_RATE).values[:, axis], 11, 2)
     found = [correlation(np.roll(demand, lag)[rows], rate[rows]) for lag in LAGS]
-    assert max(found) > 0.6
-    assert max(found) > abs(min(found))
+    assert max(found) > max(0.6, abs(min(found)))
 
 
 @pytest.mark.parametrize("number", range(5))

@@ -122,8 +122,6 @@ def test_no_bytes_for_a_commanded_vehicle_raise(profile: str, messages: list[tup
 
 
 # The mission protocol of the emulated autopilot, as a ground station speaks it
-
-
 def sent(msgid: int, *fields: Argument, source: tuple[int, int] = GCS) -> Frame:
     return Decoder().feed(Encoder(*source).encode(msgid, *PLANT, *fields), 0)[0]
 
@@ -165,8 +163,6 @@ def test_a_lost_item_is_asked_for_again_and_an_upload_that_stops_is_given_up() -
 
 
 # The rhythm of messages: exact in the mean, never early, changed and denied as an autopilot does
-
-
 def times(first: int, n: int) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
     return np.arange(first, first + n, dtype=np.int64) * 1_000_000
 

@@ -94,9 +94,7 @@ def test_1_a_watch_refuses_a_link_of_another_rate_or_profile() -> None:
 
 
 @pytest.mark.parametrize(("slower", "judged"), [(1, True), (2, False)])
-def test_a_link_that_comes_in_small_chunks_is_measured_and_a_refused_one_never_judged(
-    slower: int, judged: bool
-) -> None:
+def test_a_link_that_comes_in_chunks_is_measured_and_a_refused_one_never_judged(slower: int, judged: bool) -> None:
     times = [replace(one, t_ns=one.t_ns * slower, host_ns=one.host_ns * slower) for one in flying(600, 5).series]
     chain, found = chain_of(whole()), 0.0
     state, edges = chain.start(), list(range(START_NS, START_NS + 12 * 10**9, 10**7))

@@ -224,8 +224,6 @@ def test_spectra_are_those_published(gusts: FloatArray, axis: int) -> None:
 
 
 # Attitude estimate and controllers: closed forms, directions, limits
-
-
 @cache
 def gains() -> Controller:
     airframe = nominal_airframe(qdrone2())
@@ -320,8 +318,6 @@ def test_motors_are_off_or_idle_on_the_ground_and_the_integrals_wait(
 
 
 # The IMUs against kinematics, scipy and the sampling theorem; their mount; the two of the recordings
-
-
 @pytest.mark.parametrize("corner_hz", [5.0, 80.0, 250.0, 480.0, 700.0])
 @pytest.mark.parametrize("kind", ["lowpass", "highpass"])
 def test_the_filters_are_those_of_scipy(corner_hz: float, kind: Literal["lowpass", "highpass"]) -> None:
@@ -384,8 +380,6 @@ def test_the_filter_is_the_bilinear_transform_of_a_driven_mode(hz: float, dampin
 
 
 # T's nine faults, and injections: what each does to the tables of the compiled loop, and to a flight
-
-
 def condition(damage: RotorDamage, angle: float = 0.5, rotor: int = 2) -> Condition:
     return rotor_condition(drone(qdrone2(), 1), (Injection(damage, rotor, angle_rad=angle),), STEP_S)
 
@@ -412,8 +406,6 @@ def test_onset_at_a_millisecond_is_that_step(step: int) -> None:
 
 
 # Paths: closed, smooth where they should be, flown at the speed asked for; where the recorded ones go
-
-
 def at(p: Path, t: float) -> FloatArray:
     out = np.empty(REFERENCE)
     reference(p, t, out)

@@ -173,8 +173,6 @@ def test_impossible_flights_are_refused_in_one_line(config: dict[str, str | int 
 
 
 # What is changed in flight: causes, wind, battery; and what the truth file says of it
-
-
 def test_injected_in_flight_is_as_configured_before_it() -> None:
     cause = Injection(RotorDamage(0.9, 1.2), rotor=2, onset_s=0.5, angle_rad=1.0)
     configured = Plant(PlantConfig(trajectory="hover", seed=4, injections=(cause,))).advance(800)
@@ -244,8 +242,6 @@ def test_the_truth_has_every_change_with_its_time() -> None:
 
 
 # One specimen: sessions, propellers, wear; a payload taken up and dropped in flight
-
-
 @pytest.mark.parametrize("spread", [0.01, 0.03])
 def test_a_new_set_of_propellers_differs_uniformly_and_is_balanced_as_permitted(spread: float) -> None:
     rng = np.random.default_rng(1)

@@ -124,7 +124,7 @@ def test_gain_errors_are_the_recursive_least_squares_of_the_last_seconds(spec: R
 
 
 @pytest.mark.parametrize(("gusts", "gain"), [(0.0, 0.85), (0.0, 1.15), (0.06, 1.0), (0.2, 1.0)])
-def test_another_gain_and_gusts_from_everywhere_are_no_rotor(
+def test_another_gain_and_gusts_from_all_sides_are_no_rotor(
     spec: RotorSignatureSpec, gusts: float, gain: float
 ) -> None:
     rows = flown(26, gusts * np.hstack([wander(31), wander(32), 4.0 * wander(33)]))

@@ -162,9 +162,7 @@ def test_another_unit_gives_the_same_alarms(x: FloatArray, budget: float, scale:
 
 
 @given(x=maxima, budget=budgets, factor=st.floats(1.01, 100.0), more=st.floats(1.0, 10.0))
-def test_a_smaller_budget_or_a_wider_prior_never_lowers_it(
-    x: FloatArray, budget: float, factor: float, more: float
-) -> None:
+def test_less_budget_or_a_wider_prior_never_lowers_it(x: FloatArray, budget: float, factor: float, more: float) -> None:
     assert level(x, budget / factor).value >= level(x, budget).value
     wider = Prior(0.2 * more, 0.1 * more, 0.1)
     assert level(x, min(budget, 0.5), wider).value >= level(x, min(budget, 0.5)).value * (1 - 1e-12)
