@@ -38,7 +38,7 @@ from mavdiag.monitors.base import FaultKind
 TEXT = "PROP rotor unknown: inspect before flight"
 CLOSED = "PROP rotor unknown: inspection acknowledged"
 Benches = Callable[..., Attacked]
-ACKNOWLEDGEMENT, REPEATED = (STATION.encode(MessageId.COMMAND_LONG, *US, MavCmd.USER_1, n, *[0.0] * 7) for n in (0, 1))
+ACK, *REPEATED = (STATION.encode(MessageId.COMMAND_LONG, *US, MavCmd.USER_1, n, *[0.0] * 7) for n in (0, 1, 1, 1))
 REAL32, INT8 = 9, 2
 LOITER = 5
 CRAFT = replace(USUAL, rate_hz=200.0)  # of its link
@@ -141,13 +141,13 @@ def test_a_daemon_that_dies_in_flight_leaves_the_inspection_open(benches: Benche
 def test_a_ground_station_behind_acknowledges_and_a_stranger_on_an_unsigned_link_does_not(benches: Benches) -> None:
     bench = flown(benches(), faulty=True)
     received(bench.far)
-    bench.far.send(ACKNOWLEDGEMENT)
+    bench.far.send(ACK)
     bench.run(0.2)
     assert answers(bench, received(bench.far)) == [MavResult.DENIED]  # type: ignore[arg-type]
     assert stage(bench) is Stage.INSPECT
     assert any("it may be forged" in line for line in bench.host.lines)
     yes, no = MavResult.ACCEPTED, MavResult.FAILED  # a new one finds nothing open
-    for sent, result in ((REPEATED, yes), (REPEATED, yes), (ACKNOWLEDGEMENT, no), (REPEATED, yes)):
+    for sent, result in zip((*REPEATED[:2], ACK, REPEATED[2]), (yes, yes, no, yes), strict=True):
         received(bench.behind[0])
         bench.behind[0].send(sent)
         bench.run(0.2)
@@ -159,7 +159,9 @@ def test_a_ground_station_behind_acknowledges_and_a_stranger_on_an_unsigned_link
 def test_a_look_takes_so_much_of_a_link_behind_and_passes_it_unchanged(bench: Bench) -> None:
     """30 datagrams of heartbeats held the loop up for 17 s."""
     unknown = bytes((0xFD, 1, 0, 0, 7, 255, 190, 0xEE, 0xEE, 0, 7, 1, 2))
-    one = 20 * STATION.encode(MessageId.PARAM_REQUEST_READ, *US, "PROP_ACK", -1) + 4500 * unknown
+    one = (
+        b"".join(STATION.encode(MessageId.PARAM_REQUEST_READ, *US, "PROP_ACK", -1) for _ in range(20)) + 4500 * unknown
+    )
     for _ in range(3):
         bench.behind[0].send(one)
     bench.run(0.04)
@@ -427,7 +429,7 @@ def test_it_is_called_off_by_a_link_behind_or_the_vehicles_mode(benches: Benches
     damaged(bench, 4.0)
     assert [one for one in noted(tmp_path) if "announced" in one]
     if how == "ack":
-        bench.behind[0].send(ACKNOWLEDGEMENT)
+        bench.behind[0].send(ACK)
     elif how == "stick":
         bench.behind[0].send(STATION.encode(MessageId.MANUAL_CONTROL, 1, 0, -300, 500, 0, 0))
     elif how == "mode":
@@ -456,7 +458,7 @@ def test_a_stranger_on_an_unsigned_link_does_not_call_it_off(benches: Benches) -
     bench = reacting(benches)
     damaged(bench, 3.0)
     sticks = (STATION.encode(MessageId.MANUAL_CONTROL, 1, 1000 * (-1) ** k, 0, 500, 0, 0) for k in itertools.count())
-    bench.fly(5.0, ([ACKNOWLEDGEMENT, stick] for stick in sticks))
+    bench.fly(5.0, ([ACK, stick] for stick in sticks))
     assert len(commanded(bench)) == 2
 
 

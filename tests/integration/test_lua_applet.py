@@ -143,7 +143,7 @@ class Controller:
         return self._lua.globals().peek(name)
 
     @property
-    def slots(self) -> dict[str, tuple[float, float, float]]:
+    def slots(self) -> dict[str, tuple[float, ...]]:
         """Of each monitor the time of its latest value [ms], its ratio and the value."""
         return {name: tuple(one.values()) for name, one in self._lua.globals().slots_now().items()}
 
@@ -252,9 +252,9 @@ def by_applet(baseline: Baseline, telemetry: Telemetry) -> tuple[Judged, Control
     for block in align.step(align.start(), telemetry):
         for ms, row in rows_of(block, baseline):
             controller.play(ms, row)
-            for name, (at, ratio, value) in controller.slots.items():
-                if at > 0:
-                    found.values[name, round(at)] = ratio, value
+            for name, reading in controller.slots.items():
+                if reading and reading[0] > 0:
+                    found.values[name, round(reading[0])] = reading[1:]
             found.stage(controller.held("stage"), controller.held("rotor"), controller.held("gross"))
     return found, controller
 
