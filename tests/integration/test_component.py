@@ -158,10 +158,8 @@ def test_a_ground_station_behind_acknowledges_and_a_stranger_on_an_unsigned_link
 
 def test_a_look_takes_so_much_of_a_link_behind_and_passes_it_unchanged(bench: Bench) -> None:
     """30 datagrams of heartbeats held the loop up for 17 s."""
-    unknown = bytes((0xFD, 1, 0, 0, 7, 255, 190, 0xEE, 0xEE, 0, 7, 1, 2))
-    one = (
-        b"".join(STATION.encode(MessageId.PARAM_REQUEST_READ, *US, "PROP_ACK", -1) for _ in range(20)) + 4500 * unknown
-    )
+    unknown = 4500 * bytes((0xFD, 1, 0, 0, 7, 255, 190, 0xEE, 0xEE, 0, 7, 1, 2))
+    one = b"".join(STATION.encode(MessageId.PARAM_REQUEST_READ, *US, "PROP_ACK", -1) for _ in range(20)) + unknown
     for _ in range(3):
         bench.behind[0].send(one)
     bench.run(0.04)

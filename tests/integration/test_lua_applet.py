@@ -254,7 +254,7 @@ def by_applet(baseline: Baseline, telemetry: Telemetry) -> tuple[Judged, Control
             controller.play(ms, row)
             for name, reading in controller.slots.items():
                 if reading and reading[0] > 0:
-                    found.values[name, round(reading[0])] = reading[1:]
+                    found.values[name, round(reading[0])] = reading[1], reading[2]
             found.stage(controller.held("stage"), controller.held("rotor"), controller.held("gross"))
     return found, controller
 
