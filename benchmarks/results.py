@@ -169,7 +169,7 @@ def run(command: str, shared: Path | None, temporary: str) -> str | None:
     data = str(shared / "data") if shared else ""
     words = [word.replace("FOLDER", data).replace("TEMPORARY", temporary) for word in shlex.split(command)]
     program = Path(sys.executable).with_name(words[0])
-    paths = os.pathsep.join((str(ROOT / "tests"), str(ROOT / "benchmarks"), str(ROOT / "fuzz")))
+    paths = os.pathsep.join(map(str, (ROOT, ROOT / "tests", ROOT / "benchmarks", ROOT / "fuzz")))
     environment = {**os.environ, "PYTHONPATH": paths}
     started = time.monotonic()
     done = subprocess.run([str(program), *words[1:]], cwd=ROOT, env=environment, capture_output=True, text=True)
