@@ -282,11 +282,6 @@ class Hidden:
     end_s: float
     reason: str
 
-    @property
-    def span_s(self) -> float:
-        """How long it is [s]."""
-        return self.end_s - self.begin_s
-
 
 def hidden_flight(
     telemetry: Telemetry, gate: GateSpec, quality: LinkQuality, spans: Sequence[tuple[int, int]]

@@ -104,14 +104,13 @@ function run()
   looks = {}
   debug.sethook(function(event)
     if event == "count" then count = count + 100
-    elseif debug.getinfo(2, "f").func == decide then look() end
+    elseif debug.getinfo(2, "f").func == decide then
+      for _, slot in ipairs(peek("slots")) do looks[#looks + 1] = {slot.name, slot.at, slot.ratio, slot.value} end
+    end
   end, "r", 100)
   again = again()
   debug.sethook()
   sent.most = math.max(sent.most, count)
-end
-function look()
-  for _, slot in ipairs(peek("slots")) do looks[#looks + 1] = {slot.name, slot.at, slot.ratio, slot.value} end
 end
 return w, sent
 """
