@@ -228,7 +228,7 @@ class _Run:
         self.hidden = hidden_flight(self.log.telemetry, front.gate, front.align.quality, self._spans)
         memory, dt_s = self.state.memory, self.chain.kernel.dt_s
         self.chain.kernel.restart(memory)  # what no value reaches any more is not judged
-        self.flown_s = memory.flown * dt_s + sum(one.span_s for one in self.hidden)
+        self.flown_s = memory.flown * dt_s + sum(one.end_s - one.begin_s for one in self.hidden)
         self.judged_s = min(memory.judged * dt_s, self.flown_s)
         self.takeoff_s = (memory.rows - memory.flown) * dt_s
 

@@ -90,6 +90,7 @@ def applet(baseline: Baseline, table_key: int = TABLE_KEY) -> str:
         bin_ms=round(1000 * BIN_S),
         look_ms=look_ms,
         decision=(kernel.CALM_BELOW, *spans_ms, kinds.NAME_AT, upset_from, kinds.SILENT_BELOW),
+        impact=(gates.IMPACT, *(round(1000 * span_s) for span_s in (gates.IMPACT_S, gates.USUAL_S, gates.KNOWN_S))),
         quiet=(gates.QUIET_RAD_S, *(round(span_s * 1000) for span_s in spans_s)),
     )
 

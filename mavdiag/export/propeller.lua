@@ -323,7 +323,7 @@ local function decide(t)
 end
 
 -- A flight: its rows one after the other, and its end.
-local look, air, low = nil, false, false
+local look, air, low = nil, false, 0
 local function begin_flight(t)
   for i = 1, #bins do bins[i].stop, bins[i].all, bins[i].level = -HUGE, 0.0, 0.0 end
   for i = 1, #leans do leans[i][1], leans[i][2] = NAN, NAN end
@@ -331,7 +331,7 @@ local function begin_flight(t)
   bin.number, bin.beyond, first_bin = nil, -HUGE, t // BIN + 1
   level_run, pull_run, usual, part, rows, tick, tick_run = 0, 0, 1.0, 1, 0, 0, 0
   for _, slot in ipairs(slots) do slot.highest, slot.ratio, slot.value, slot.at = nil, 0.0, 0.0, -HUGE end
-  look, calm, air, low = nil, nil, true, false
+  look, calm, air, low = nil, nil, true, 0
 end
 local function judge(row)
   local own = (row.t + LOOK - 1) // LOOK -- the look that its values belong to
@@ -353,30 +353,47 @@ local function end_flight(last)
   say(WARNING, "PROP " .. motor() .. ": inspect before flight")
 end
 
--- Gate: what flies. Rows wait for `stop`, and while thrust or height are low, until it is known whether it landed.
+-- Gate: what flies. Rows wait for `stop`, and from an impact on (low is 1) or while thrust or height are low (2), until
+-- it is known whether it landed.
 local QUIET_RAD_S, QUIET, BACK, LOUD = table.unpack({{ quiet }}) -- [rad/s], [ms]
 local G, queue, head, queued, kept = B.gate, filled((B.gate.stop + 3500) // STEP, 0.0, R), 0, 0, 0
 local blank, last, low_at, loud_at, up, late, tumbles = 0, 0, 0, 0, nil, 0, false
+local IMPACT, IMPACT_MS, USUAL, KNOWN = table.unpack({{ impact }})
+local settled, felt, force0, thrust0 = 0, 0.0, 0.0, 0.0
+local function hits(force, thrust)
+  felt = felt + min(STEP / IMPACT_MS, 1.0) * (force - felt)
+  local ratio = thrust0 > 0.0 and thrust / thrust0 or 0.0
+  local most = IMPACT * force0 * ratio * max(ratio, 1.0)
+  local known = settled * STEP >= KNOWN
+  settled = settled + 1
+  local share = max(STEP / USUAL, 1.0 / settled)
+  force0, thrust0 = force0 + share * (force - force0), thrust0 + share * (thrust - thrust0)
+  return known and 0.0 < most and most < felt
+end
 local function gate(row)
   local t, is_low, size = row.t, row.height < G.height or row.thrust < G.thrust, max(abs(row.p), abs(row.q), abs(row.r))
   if not air then
     if is_low or not row.armed then return end
     begin_flight(t)
     blank, queued, kept = t + G.start, 0, 0
+    settled, felt, force0, thrust0 = 0, 0.0, 0.0, 0.0
   end
   local loud = size > QUIET_RAD_S and finite(row.p + row.q + row.r)
-  if is_low and not low then low, low_at, loud_at, late, tumbles = true, t, t, 0, false end
+  local held = is_low and 2 or 0
+  if not is_low and t >= blank and finite(row.fz + row.thrust) then held = hits(-row.fz, row.thrust) and 1 or 0 end
+  if held > low and not (low > 0 and tumbles) then low, low_at, loud_at, late, tumbles = held, t, t, 0, false end
   local landed = not row.armed or is_low and not loud and t - loud_at >= QUIET
   if landed or queued + 1 >= #queue then return end_flight(last) end
-  up = not is_low and low and (up or t) or nil
-  if up then low = t - up < BACK end
+  up = held == 0 and low > 0 and (up or t) or nil
+  if up and t - up >= BACK then low = 0 end
   queued, row.valid = queued + 1, row.valid and t >= blank
-  if low and loud then
+  if low > 0 and loud then
     late, loud_at = late + (t - low_at > QUIET and 1 or 0), t
     tumbles = late * STEP >= LOUD
   end
-  if not low or tumbles then kept, last = queued, t end
-  while kept > 0 and queue[head + 1].t <= last - G.stop do
+  if low == 0 or tumbles then kept, last = queued, t end
+  for _ = 1, 2 do -- so many rows a call, for a call may take 10,000 steps
+    if kept == 0 or queue[head + 1].t > last - G.stop then return end
     judge(queue[head + 1])
     head, queued, kept = (head + 1) % #queue, queued - 1, kept - 1
   end

@@ -111,7 +111,7 @@ class Innovation(Monitor[InnovationSpec]):
     statistic has no step that few flights could not foretell. A row whose gyro is that of the three before is left out.
 
     Warm-up: half an SG window, 4 rows and 1 s; after a gap of less than a second only the first two. Latency: half an
-    SG window and up to 1 s. False alarms: aerobatics, landings and wind that the healthy flights lacked. Blind spots:
+    SG window and up to 1 s. False alarms: aerobatics and wind that the healthy flights lacked. Blind spots:
     a weak rotor that is trimmed away (AUC 0.66 on 57 recorded propeller cuts); anything slow.
     """
 

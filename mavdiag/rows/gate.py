@@ -2,13 +2,16 @@
 
 A landing gives gyro spikes many times the size of a fault's trace (8-11 rad/s, METHOD section 5). Flying spans are
 segments, and a `Border` follows each. Its first `trim_start_s` are invalid, its last `trim_end_s` are dropped: so long
-rows are held back. So they are while thrust or height is below its limit (*low*), until the matter is decided:
+rows are held back. So they are from an impact on, and while thrust or height is below its limit (*low*), until the
+matter is decided:
 
-    disarmed, or QUIET_S without a loud row     it was the landing: the rows are dropped and the span ends
-    thrust and height back for BACK_S           it was flight: the rows come out and are judged
+    disarmed, or QUIET_S low and no loud row    it was the landing: the rows are dropped and the span ends
+    neither low nor an impact for BACK_S        it was flight: the rows come out and are judged
     loud for LOUD_S, later than QUIET_S         it tumbles: the rows come out, and the next low ones are not held back
 
 A row is loud above QUIET_RAD_S. At the end of the data what was loud for LOUD_S, and in its last CALM_S, was flight.
+At an impact more than the rotors carries the vehicle: f = EMA(-f_z) > IMPACT f0 max(r, r^2), with r = u/u0, u: thrust,
+f0 and u0: usual force and thrust, slow EMAs. A rotor's force grows as r or r^2. They follow an impact too: none lasts.
 """
 
 import math
@@ -32,6 +35,9 @@ BACK_S = 0.5  # a touch-down's blips of thrust last up to 0.2 s (recorded ArduCo
 CALM_S = 0.5  # of a touch-down whose QUIET_S the data did not wait for (our choice)
 LOUD_S = 0.1  # so that one wrong sample decides nothing (our choice)
 START_NS = NS_PER_S  # of any data no row is valid yet (`align.SETTLE_START_S`)
+IMPACT = 1.35  # emulated landings reach 1.46 to 2.8, flight 1.21, for moments 1.5 in ArduCopter's gusts (our choice)
+IMPACT_S, USUAL_S = 0.02, 5.0  # time constants: shorter than half a rate filter; longer than a landing (our choice)
+KNOWN_S = 1.0  # of the usual ones before an impact is believed (our choice)
 SHAKE_S = 0.5  # of one figure of the noise (our choice)
 THRUST_LOST_NS = 2 * NS_PER_S  # a thrust that was known and is not for longer is lost (our choice)
 HIDDEN_S = 3.0  # shorter stretches may be a touch-down, or motors that run down (our choice)
@@ -49,8 +55,8 @@ ALL_TELL = np.empty(0, dtype=np.bool_)
 # are invalid; until when it takes off, or the data begin; the last row that flew; rows that are held back, and how many
 # of them were flight.
 SOURCE, SOURCE_NS, AIRBORNE, RESUMES, SPAN, THRUST_NS, BLANK_NS, SETTLED_NS, LAST_NS, QUEUED, KEPT = range(11)
-# Whether thrust or height of a vehicle in the air is low, since when; the last loud row, or the first low one; since
-# when they are back; how many rows were loud later than QUIET_S, and at all; whether it tumbles.
+# Whether a vehicle in the air hit something (1), or thrust or height is low (2), since when; the last loud row, or the
+# first such one; since when they are back; how many were loud later than QUIET_S, and at all; whether it tumbles.
 LOW, BEGUN_NS, LOUD_NS, UP_NS, LATE, LOUD, TUMBLES = range(11, 18)
 
 
@@ -74,6 +80,7 @@ class GateState:
         self.tail: FloatArray = np.empty((0, 3))
         self.now: IntArray = np.zeros(TUMBLES + 1, dtype=np.int64)
         self.now[[SOURCE, SPAN, THRUST_NS]] = -1, -1, NEVER_NS
+        self.memory = self.now, np.zeros(4)  # settled rows of the span, f0, u0, f
 
     def release(self, until_ns: int) -> list[Block]:
         """Give away what flew up to a time."""
@@ -137,8 +144,9 @@ class GateSpec:
                 out += [*self._break_off(state), Border(int(now[LAST_NS]), landed=False)]
             now[[SOURCE, SOURCE_NS]], state.tail = (block.segment, block.t_ns[0]), state.tail[:0]
         trim_ns, told, place = round(self.trim_end_s * NS_PER_S), self._told(state, block), (block.whole, block.first)
+        how = state.limits, block.dt_s, block.outputs
         while first < n:
-            took, stop, landed = _follow(now, state.limits, block.dt_s, block.t_ns, place, told, block.outputs, first)
+            took, stop, landed = _follow(state.memory, how, block.t_ns, place, told, first)
             if took < stop:
                 state.rows.append(block.rows(took, stop, int(now[SPAN]), int(now[SETTLED_NS])))
             out += state.release(int(now[LAST_NS]) - trim_ns)
@@ -150,17 +158,14 @@ class GateSpec:
 
     def finish(self, state: GateState) -> list[Block]:
         """The end of the data. What was held back was still flying, so it is judged, but for a landing that began."""
-        if not state.now[LOW] or state.flew():
-            return self._break_off(state) if state.now[AIRBORNE] else []
-        out = state.release(int(state.now[LAST_NS]) - round(self.trim_end_s * NS_PER_S))
-        state.land(resumes=True)
-        return out
+        lands = state.now[LOW] and not state.flew()
+        return self._break_off(state, self.trim_end_s if lands else 0.0) if state.now[AIRBORNE] else []
 
-    def _break_off(self, state: GateState) -> list[Block]:
+    def _break_off(self, state: GateState, trim_s: float = 0.0) -> list[Block]:
         """The data end, or break off: all that flew comes out."""
         if state.now[LOW] and state.rows and state.flew():
             state.now[KEPT], state.now[LAST_NS] = state.now[QUEUED], state.rows[-1].t_ns[-1]
-        out = state.release(int(state.now[LAST_NS]))
+        out = state.release(int(state.now[LAST_NS]) - round(trim_s * NS_PER_S))
         state.land(resumes=True)
         return out
 
@@ -190,15 +195,27 @@ def _idle(x: FloatArray, outputs: int, i: int) -> bool:
     return outputs > 0
 
 
+@jit
+def _hits(carried: FloatArray, force: float, thrust: float, dt_s: float) -> bool:
+    """Whether a row is of an impact."""
+    carried[3] += min(dt_s / IMPACT_S, 1.0) * (force - carried[3])
+    r = thrust / carried[2] if carried[2] > 0.0 else 0.0
+    hits = carried[0] * dt_s >= KNOWN_S and 0.0 < IMPACT * carried[1] * r * max(r, 1.0) < carried[3]
+    carried[0] += 1.0
+    share = max(dt_s / USUAL_S, 1.0 / carried[0])
+    carried[1] += share * (force - carried[1])
+    carried[2] += share * (thrust - carried[2])
+    return bool(hits)
+
+
 @cached_loop
-def _follow(
-    now: IntArray, limits: Any, dt_s: float, t_ns: IntArray, place: Any, told: BoolArray, outputs: int, first: int
-) -> tuple[int, int, bool]:
+def _follow(memory: Any, how: Any, t_ns: IntArray, place: Any, told: BoolArray, first: int) -> tuple[int, int, bool]:
     """Follow rows from the first on, up to a landing or their end; returns which may be flight, and if it landed.
 
     place: x, and the first of the columns that belong to t_ns.
     """
-    (least_height, least_thrust, need_armed, trim_ns), took, (x, at) = limits, first, place
+    (now, carried), (limits, dt_s, outputs), took, (x, at) = memory, how, first, place
+    least_height, least_thrust, need_armed, trim_ns = limits
     height, thrust, armed = x[col.HEIGHT, at:], x[col.THRUST, at:], x[col.ARMED, at:]
     valid, doubt = x[col.VALID, at:], x[col.DOUBT, at:]
     p, q, r = x[col.RATE, at:], x[col.RATE + 1, at:], x[col.RATE + 2, at:]
@@ -225,17 +242,21 @@ def _follow(
             if not now[RESUMES]:
                 now[BLANK_NS] += trim_ns
                 now[SETTLED_NS] = max(now[SOURCE_NS] + START_NS, now[BLANK_NS])
+                carried[:] = 0.0
             now[AIRBORNE], now[RESUMES], now[SPAN] = 1, 0, now[SPAN] + 1
+        held, up = 2 if low else 0, -x[col.FORCE + 2, at + i]
+        if not low and t >= now[BLANK_NS] and math.isfinite(up + thrust[i]):
+            held = int(_hits(carried, up, thrust[i], dt_s))
         loud = max(abs(p[i]), abs(q[i]), abs(r[i])) > QUIET_RAD_S and math.isfinite(p[i] + q[i] + r[i])
-        if low and not now[LOW]:
-            now[LOW], now[BEGUN_NS], now[LOUD_NS], now[LATE], now[LOUD], now[TUMBLES] = 1, t, t, 0, 0, 0
+        if held > now[LOW] and not (now[LOW] and now[TUMBLES]):
+            now[LOW], now[BEGUN_NS], now[LOUD_NS], now[LATE], now[LOUD], now[TUMBLES] = held, t, t, 0, 0, 0
         if disarmed or (low and not loud and t - now[LOUD_NS] >= QUIET_S * NS_PER_S):
             return took, i, True
-        if low:
+        if held:
             now[UP_NS] = NEVER_NS
         elif now[LOW]:
             now[UP_NS] = t if now[UP_NS] == NEVER_NS else now[UP_NS]
-            now[LOW] = t - now[UP_NS] < BACK_S * NS_PER_S
+            now[LOW] *= t - now[UP_NS] < BACK_S * NS_PER_S
         now[QUEUED] += 1
         valid[i] = valid[i] if t >= now[BLANK_NS] else 0.0
         if now[LOW] and loud:
@@ -261,11 +282,6 @@ class Hidden:
     end_s: float
     reason: str
 
-    @property
-    def span_s(self) -> float:
-        """How long it is [s]."""
-        return self.end_s - self.begin_s
-
 
 def hidden_flight(
     telemetry: Telemetry, gate: GateSpec, quality: LinkQuality, spans: Sequence[tuple[int, int]]
@@ -276,13 +292,9 @@ def hidden_flight(
     spans: first and last row of what flew [ns].
     """
     shows = [one for one in telemetry if one.signal in SHOWS_FLIGHT and len(one)]
-    edges_ns = [time_ns for span in spans for time_ns in span] + [
-        max((int(one.t_ns.max()) for one in shows), default=0)
-    ]
-    if (
-        2 * sum(max(begin - end, 0) for end, begin in zip(edges_ns[1::2], edges_ns[2::2], strict=True))
-        < HIDDEN_S * NS_PER_S
-    ):
+    begins_ns = [*(begin for begin, _ in spans[1:]), max((int(one.t_ns.max()) for one in shows), default=0)]
+    between_ns = sum(max(begin - end, 0) for (_, end), begin in zip(spans, begins_ns, strict=False))
+    if 2 * between_ns < HIDDEN_S * NS_PER_S:
         return ()  # nor with what flew in between
     telemetry = believed(quality, Telemetry(tuple(shows)))
     numbers = (one.t_ns // HIDDEN_BIN_NS for one in telemetry)

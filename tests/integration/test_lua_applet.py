@@ -100,16 +100,17 @@ function start(script, escs)
 end
 function peek(name) return select(2, debug.getupvalue(held[name][1], held[name][2])) end
 function run()
-  local count = 0
-  debug.sethook(function() count = count + 100 end, "", 100)
+  local count, decide = 0, peek("decide")
+  looks = {}
+  debug.sethook(function(event)
+    if event == "count" then count = count + 100
+    elseif debug.getinfo(2, "f").func == decide then
+      for _, slot in ipairs(peek("slots")) do looks[#looks + 1] = {slot.name, slot.at, slot.ratio, slot.value} end
+    end
+  end, "r", 100)
   again = again()
   debug.sethook()
   sent.most = math.max(sent.most, count)
-end
-function slots_now()
-  local found = {}
-  for _, slot in ipairs(peek("slots")) do found[slot.name] = {slot.at, slot.ratio, slot.value} end
-  return found
 end
 return w, sent
 """
@@ -143,9 +144,9 @@ class Controller:
         return self._lua.globals().peek(name)
 
     @property
-    def slots(self) -> dict[str, tuple[float, ...]]:
-        """Of each monitor the time of its latest value [ms], its ratio and the value."""
-        return {name: tuple(one.values()) for name, one in self._lua.globals().slots_now().items()}
+    def looks(self) -> list[tuple[str, float, float, float]]:
+        """Of each look of the last call and each monitor the time of its latest value [ms], its ratio and the value."""
+        return [tuple(one.values()) for one in self._lua.globals().looks.values()]
 
     @property
     def texts(self) -> list[tuple[int, int, str]]:
@@ -252,9 +253,9 @@ def by_applet(baseline: Baseline, telemetry: Telemetry) -> tuple[Judged, Control
     for block in align.step(align.start(), telemetry):
         for ms, row in rows_of(block, baseline):
             controller.play(ms, row)
-            for name, reading in controller.slots.items():
-                if reading and reading[0] > 0:
-                    found.values[name, round(reading[0])] = reading[1], reading[2]
+            for name, at, ratio, value in controller.looks:
+                if at > 0:
+                    found.values[name, round(at)] = ratio, value
             found.stage(controller.held("stage"), controller.held("rotor"), controller.held("gross"))
     return found, controller
 

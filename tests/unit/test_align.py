@@ -23,6 +23,7 @@ from mavdiag.rows.savgol import window_samples
 from mavdiag.telemetry import FloatArray, IntArray, Series, Signal, Telemetry
 
 SPEC = AlignSpec(0.001)
+Many = FloatArray | float
 LOSSES, LOGGER = (
     np.random.default_rng(4).random(5000) > 0.2,
     np.random.default_rng(8).integers(4_500_000, 13_000_000, 3000),
@@ -225,19 +226,14 @@ def test_a_signal_whose_number_of_columns_changes_is_refused_and_nothing_else_is
 
 
 def block(
-    thrust: FloatArray,
-    *,
-    armed: FloatArray | None = None,
-    gyro: FloatArray | None = None,
-    first: int = 0,
-    segment: int = 0,
+    thrust: FloatArray, *, armed: Many = np.nan, gyro: Many = 0.0, up: Many = np.nan, first: int = 0, segment: int = 0
 ) -> Block:
-    """Rows at 1 kHz. gyro: (n,) roll rate [rad/s]."""
+    """Rows at 1 kHz. gyro: (n,) roll rate [rad/s]. up: -f_z."""
     n = len(thrust)
-    rate = np.outer(np.zeros(n) if gyro is None else gyro, [1.0, 0.0, 0.0])
+    rate, force = np.outer(np.full(n, gyro), [1.0, 0.0, 0.0]), np.outer(np.full(n, up), [0.0, 0.0, -1.0])
     rows = example_rows(n, 0.001, segment=segment, thrust=thrust, rate=rate).block
     t_ns = DT_NS * np.arange(first, first + n, dtype=np.int64)
-    return changed(dataclasses.replace(rows, t_ns=t_ns), armed=np.full(n, np.nan) if armed is None else armed)
+    return changed(dataclasses.replace(rows, t_ns=t_ns), armed=np.full(n, armed), force=force)
 
 
 def spans(spec: GateSpec, blocks: list[Block]) -> list[tuple[int, ...]]:
@@ -279,12 +275,17 @@ HOP = levels((500, 0.0), (1000, 0.5), (1500, 0.0), (1000, 0.5), (1500, 0.0))
 DROP = levels((1000, 0.5), (3000, 0.0))  # thrust of a landing, or of a vehicle that tumbles
 DIP = levels((1000, 0.5), (900, 0.0), (600, 0.5), (900, 0.0), (600, 0.5))
 SPIKE, TWO_SAMPLES, UP = np.zeros(4000), np.zeros(4000), np.full(1000, 0.5)
+HIT, HITS = levels((1500, 9.8), (50, 40.0), (3350, 9.8)), levels((1500, 9.8), (20, 150.0), (2000, 9.8), (5480, 40.0))
+LATE, CLIMB = levels((1900, 0.5), (3000, 0.0)), levels((1500, 0.3), (100, 0.6))
 SPIKE[1300:1800], TWO_SAMPLES[[1700, 2600]] = 11.0, 30.0
 CASES = {
     "each flight is a segment of its own": (THRUST, [block(HOP)], [(0, 500, 1499), (1499,), (1, 3000, 3999), (3999,)]),
     "a dip of thrust is no landing": (THRUST, [block(DIP)], [(0, 0, 3999)]),
     "nor is one in a tumble": (THRUST, [block(DIP, gyro=tumble(4000))], [(0, 0, 3999)]),
     "the spike of a touch-down is not judged": (THRUST, [block(DROP, gyro=SPIKE)], [(0, 0, 999), (999,)]),
+    "nor an impact before": (THRUST, [block(LATE, up=HIT, gyro=tumble(4900) * (HIT > 10))], [(0, 0, 1501), (1501,)]),
+    "what flies on has not landed": (THRUST, [block(np.full(9000, 0.5), up=HITS)], [(0, 0, 8999)]),
+    "nor has what climbs": (THRUST, [block(CLIMB, up=9.8 * (CLIMB / 0.3) ** 2)], [(0, 0, 1599)]),
     "one wrong sample makes no tumble": (THRUST, [block(DROP, gyro=TWO_SAMPLES)], [(0, 0, 999), (999,)]),
     "a tumble ends a second after it lies still": (
         THRUST,
@@ -341,10 +342,10 @@ def test_any_cut_gives_the_same_flight(edges: list[int], seed: int) -> None:
         return np.resize(np.repeat(rng.choice(values, 80), rng.choice(lengths, 80)), 12_000)
 
     thrust, gyro = made([50, 400, 1500, 2500], [0.0, 0.5]), made([20, 300, 1200, 3000], [0.0, 0.0, 9.0])
-    armed = made([4000, 300], [1.0, 1.0, 1.0, 0.0])
-    bounds = [0, *sorted(set(edges)), 12_000]
-    parts = [block(thrust[a:b], armed=armed[a:b], gyro=gyro[a:b], first=a) for a, b in itertools.pairwise(bounds)]
-    assert spans(TRIMMED, parts) == spans(TRIMMED, [block(thrust, armed=armed, gyro=gyro)])
+    armed, up = made([4000, 300], [1.0, 1.0, 1.0, 0.0]), made([30, 800], [9.8, 9.8, 30.0])
+    ends = itertools.pairwise([0, *sorted(set(edges)), 12_000])
+    parts = [block(thrust[a:b], armed=armed[a:b], gyro=gyro[a:b], up=up[a:b], first=a) for a, b in ends]
+    assert spans(TRIMMED, parts) == spans(TRIMMED, [block(thrust, armed=armed, gyro=gyro, up=up)])
 
 
 @pytest.mark.parametrize(("thrust", "flies"), [(np.nan, [False, False, True, True, True, False]), (0.5, [True] * 6)])
