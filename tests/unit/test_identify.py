@@ -216,17 +216,15 @@ def test_standard_errors_are_right(model: ArxModel, n: int, noise: float) -> Non
 @pytest.mark.parametrize(("window", "hold"), [(5, 3), (101, 400)])
 def test_standard_errors_hold_behind_a_smoothing_filter(window: int, hold: int) -> None:
     # The white-noise formula is wrong by a factor of 6 at 101 samples.
-    slow = ArxModel(
-        np.array([1.0, -1.98, 0.9805]), np.array([0.0, -0.0059, 0.0061]), 0.001, (2, 2, 1), Method.PUBLISHED
-    )
+    lag = ArxModel(np.array([1.0, -1.98, 0.9805]), np.array([0.0, -0.0059, 0.0061]), 0.001, (2, 2, 1), Method.PUBLISHED)
     value, fits = coefficients(window)[0], []
     for seed in range(30):
         rng = np.random.default_rng(seed)
         u = np.repeat(rng.standard_normal(15_000 // hold), hold)
-        clean = slow.simulate(u)
+        clean = lag.simulate(u)
         y = clean + 0.2 * clean.std() * rng.standard_normal(len(u))
         fits.append(fit(np.correlate(u, value, "valid"), np.correlate(y, value, "valid"), dt=0.001))
-    found = rms(slow, fits)
+    found = rms(lag, fits)
     assert np.all((found > 0.6) & (found < 1.5)), found
 
 
