@@ -49,7 +49,7 @@ class InnovationSpec:
 
     kind: Literal["innovation"] = "innovation"
     dt_s: Positive
-    mean: Three  # healthy mean gyro [rad/s]
+    mean: Three  # bias of the healthy gyro, mean(gyro - commanded rate) [rad/s]: a nose that turns steadily is none
     a: tuple[Four, Four, Four]  # of each axis a_1..a_4
     b: tuple[Four, Four, Four]
     k0: tuple[Positive, Positive, Positive]  # variance of the innovation at rest [(rad/s)^2]
@@ -106,7 +106,7 @@ class Innovation(Monitor[InnovationSpec]):
 
         e(t) = A(z^-1) y(t) - B(z^-1) u(t),    z = e / sqrt(k0 + k1 EMA_0.35s(u^2)),    s = sqrt(mean_1s,3 axes z^2)
 
-    u: commanded rate, y: raw gyro less its healthy mean, one ARX(4, 4, 1) by least squares for each axis. Of what z^2
+    u: commanded rate, y: raw gyro less its healthy bias, one ARX(4, 4, 1) by least squares for each axis. Of what z^2
     is beyond 36, in n rows of the second, the share 1 - 7/n counts: a glitch of three samples spoils 7 rows, and the
     statistic has no step that few flights could not foretell. A row whose gyro is that of the three before is left out.
 

@@ -224,8 +224,9 @@ class RotorSpeed(Monitor[RotorSpeedSpec]):
     """Statistic: how far ONE rotor's speed is from what its command gives, against the others [share of its speed].
 
         d_j = y_j - a_j - (x_j - x0_j)' b of each 0.5 s,    D_j = mean of the middle ones of 5 s,    n: rotors
-        statistic = max_j n/(n - 1) |D_j| sigma/sqrt(sigma^2 + (x_j - x0_j)' P (x_j - x0_j)),    sigma: the healthy rms
+        statistic = max_j n/(n - 1) |D_j| sigma/sqrt(sigma^2 + (x_j - x0_j)' P (x_j - x0_j) + var(d_j)/ticks)
 
+    sigma: the healthy rms. A window whose ticks scatter, as where rotors lag behind a turn, says less.
     If rotor j alone turns a share d faster, the mean has d/n of it: so n/(n - 1) D_j = d, and the others are d/(n - 1).
     `level` has the sign, above 0 for less drag. `rotors` are the sizes of all of them. Lowest rate: 10 Hz of the gyro,
     and each ESC once in 1.5 s.

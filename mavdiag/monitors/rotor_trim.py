@@ -16,8 +16,8 @@ A vehicle whose nose turns has its rotors commanded apart: a steady turn against
 start and the stop of a turn for its inertia (b2) and for that of the rotors, whose change of speed turns the vehicle
 too (b3, never negative; a reaction wheel). A tick has five parts of 0.1 s, and g is taken off each of them: means of
 both sides obey the law however fast the nose turns, medians would not. The median then hides a few wild samples. The
-three are fitted to the ticks of the healthy flights by least squares about a physical prior; their covariance stays
-with them and says what the trim cannot tell (`TrimMonitor.blindness`). Without b3 the 5 s means of a real ArduCopter in
+three are fitted to the ticks of the healthy flights, and to their means, by least squares about a physical prior; their
+covariance P says what the trim cannot tell (`TrimMonitor.blindness`). Without b3 the 5 s means of a real ArduCopter in
 the loop that turns scatter by 0.005, with it by 0.0004. The law errs by a share of g, so a window is the mean of its
 ticks weighted as above, where the tick before counts too, for rotors lag.
 """
@@ -477,11 +477,12 @@ class RotorTrim(TrimMonitor[RotorTrimSpec]):
     """Statistic: the rise of ONE rotor's command that explains the trim shift best [fraction of hover].
 
         m: trim averaged over 5 s,    mu: the healthy one,    a_j: rise of rotor j that explains m - mu
-        rotor = argmax_j a_j |c_j|,    statistic = a_rotor
+        rotor = argmax_j a_j |c_j|,    statistic = a_rotor / sqrt(1 + max(0, P_11 (r - r0)^2 - s^2)/sd_yaw^2)
 
     A payload, a weak battery or a shifted centre of mass move roll and pitch, not yaw; these have at least three times
     yaw's spread, so the evidence is mostly yaw, and roll and pitch settle which rotor it is. To their spread the error
-    of k times the pull of the same 5 s is added in squares, but not where a rotor is named.
+    of k times the change of the pull is added in squares, but not where a rotor is named. r - r0: yaw rate of the same
+    5 s less that of the healthy flights, P_11: variance of b1, s: what the yaw trim differs by on other days anyway.
 
     Warm-up: 5 s of unbroken valid flight. Latency: up to 5 s. False alarms: a change of propellers or of the centre of
     mass; two flights from two sessions are the worst basis. Blind spots: hops shorter than 5 s; vibration without loss
