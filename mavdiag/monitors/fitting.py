@@ -101,18 +101,18 @@ def variance_law(squares: FloatArray, busy: FloatArray) -> tuple[float, float]:
     Fisher scoring: least squares of r^2, weighted by 1/var^2 of the law before. k0 is at least 5 % of mean(r^2).
     """
     mean, size = float(squares.mean()), float(busy.mean())
-    k0, k1 = mean, 0.0
-    for _ in range(SCORINGS if size > 0.0 else 0):
+    if size == 0.0:
+        return mean, 0.0
+    x, k0, k1 = busy / size, mean, 0.0
+    columns = np.stack((np.ones(len(x)), x, x * x, squares, x * squares))
+    for _ in range(SCORINGS):
         # [ sum w    sum w x   ] [ k0 ]   [ sum w r^2   ]    x = busy/mean(busy). Two unknowns: if one is negative it is
         # [ sum w x  sum w x^2 ] [ k1 ] = [ sum w x r^2 ]    zero and the other is its own least-squares solution.
-        x = busy / size
-        w = np.square(1.0 / (k0 + k1 * x))
-        all_, first, second = float(w.sum()), float(w @ x), float(w @ (x * x))
-        plain, product = float(w @ squares), float((w * x) @ squares)
-        det = all_ * second - first**2
-        k1 = max(0.0, (all_ * product - first * plain) / det) if det > RANK * all_ * second else 0.0
-        k0 = (plain - k1 * first) / all_
+        weight, first, second, plain, product = (columns @ np.square(1.0 / (k0 + k1 * x))).tolist()
+        determinant = weight * second - first**2
+        k1 = max(0.0, (weight * product - first * plain) / determinant) if determinant > RANK * weight * second else 0.0
+        k0 = (plain - k1 * first) / weight
         if k0 < 0.0:
             k0, k1 = 0.0, product / second
         k0 = max(k0, MIN_SHARE * mean)
-    return k0, k1 / size if size > 0.0 else 0.0
+    return k0, k1 / size
