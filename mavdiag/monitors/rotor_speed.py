@@ -44,7 +44,9 @@ from mavdiag.units import RPM
 
 WINDOW_S = 5.0  # our choice, as of the trim
 TICK_S = 0.5  # a value twice a second; longer than a rotor's lag and an ESC's delay (our choice)
-MIDDLE = 0.6  # share of the ticks of a window that count, those in the middle: a wild ESC frame spoils one (our choice)
+# Share of the ticks of a window that count, those whose command changes least, for rotors and ESCs lag behind it; but
+# for the least and the largest of them: a wild ESC frame spoils one (our choice).
+CALM = 0.6
 MADE_UP_RAD_S = 6000 * RPM  # that PX4 tells of full output in simulation (SimulatorMavlink: ESC_STATUS)
 MADE_UP = 0.01  # so near to it no motor is (our choice)
 # What is held of b before any flight, and its standard deviation. 1/(1 + e) is 0.8 to 0.87, an ESC's dead band adds to
@@ -138,19 +140,25 @@ def _find(par: Floats, mem: Floats, out: Floats) -> None:
 
 
 @jit
-def _middle(values: Floats) -> float:
-    """Mean of the middle ones, which are sorted on the way."""
-    count, found = len(values), 0.0
+def _sort(keys: Floats, values: Floats, count: int) -> None:
+    """Sort so many values by their keys."""
     for i in range(1, count):
-        value, j = values[i], i
-        while j > 0 and values[j - 1] > value:
-            values[j] = values[j - 1]
+        key, value, j = keys[i], values[i], i
+        while j > 0 and keys[j - 1] > key:
+            keys[j], values[j] = keys[j - 1], values[j - 1]
             j -= 1
-        values[j] = value
-    cut = int((1.0 - MIDDLE) / 2.0 * count)
-    for i in range(cut, count - cut):
+        keys[j], values[j] = key, value
+
+
+@jit
+def _calm(values: Floats, speeds: Floats) -> float:
+    """Mean of those whose commands change least, but for the least and the largest; both are sorted on the way."""
+    count, found = max(3, int(CALM * len(values))), 0.0
+    _sort(speeds, values, len(values))
+    _sort(values, values, count)
+    for i in range(1, count - 1):
         found += values[i]
-    return found / (count - 2 * cut)
+    return found / (count - 2)
 
 
 @jit
@@ -159,7 +167,7 @@ def _take_tick(
 ) -> None:
     """Put a tick into the window, where usable ones in a row count, and judge that."""
     n, window, best = int(par[ROTORS]), int(par[WINDOW]), 0.0
-    place, rests, away = int(mem[TICKS]) % window, scratch[:window], scratch[window:]
+    place, rests, speeds, away = int(mem[TICKS]) % window, scratch[0], scratch[1], scratch[2]
     for j in range(n):
         own, of, error = EACH + OF_ROTOR * j, SUMS + 4 * n + OF_ROTOR * window * j, 0.0
         mem[of + place] = tick[OF_ROTOR * j] - par[own]
@@ -174,10 +182,10 @@ def _take_tick(
                 error += away[p] * par[ERRORS + COLUMNS * p + q] * away[q]
         mean, square = 0.0, 0.0
         for i in range(window):
-            rests[i] = mem[of + i]
+            rests[i], speeds[i] = mem[of + i], abs(mem[of + COLUMNS * window + i] + par[own + COLUMNS])
             mean, square = mean + rests[i] / window, square + rests[i] ** 2 / window
         error += (square - mean * mean) / window
-        found = _middle(rests) * par[SPREAD] / math.sqrt(par[SPREAD] ** 2 + max(error, 0.0)) * n / (n - 1.0)
+        found = _calm(rests, speeds) * par[SPREAD] / math.sqrt(par[SPREAD] ** 2 + max(error, 0.0)) * n / (n - 1.0)
         rotors[k, j] = abs(found)
         best = found if abs(found) > abs(best) else best
     out[col.VALUE, k], out[col.LEVEL, k] = abs(best), best
@@ -190,7 +198,7 @@ def _take_tick(
 def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats, rotors: Floats, at: Ints) -> int:
     """The rotor that is farthest from its speed at the end of each tick."""
     n, k = int(par[ROTORS]), 0
-    tick, scratch = np.zeros(OF_ROTOR * n + TOLD), np.empty(int(par[WINDOW]) + COLUMNS)
+    tick, scratch = np.zeros(OF_ROTOR * n + TOLD), np.empty((3, int(par[WINDOW])))
     for i in range(first, x.shape[1]):
         if not _take_row(par, mem, x, i):
             continue
@@ -210,7 +218,7 @@ def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats
 @cached
 def _again(par: Floats, mem: Floats, ticks: Floats) -> Floats:
     """Distances of all rotors in the full windows of ticks that `run` has traced, (k, n)."""
-    n, found, scratch = int(par[ROTORS]), 0, np.empty(int(par[WINDOW]) + COLUMNS)
+    n, found, scratch = int(par[ROTORS]), 0, np.empty((3, int(par[WINDOW])))
     out, rotors = np.empty((col.LEVEL + 1, 1)), np.empty((len(ticks) + 1, n))
     for tick in ticks:
         if tick[OF_ROTOR * n + 2] == 0.0:  # a segment begins
@@ -223,7 +231,7 @@ def _again(par: Floats, mem: Floats, ticks: Floats) -> Floats:
 class RotorSpeed(Monitor[RotorSpeedSpec]):
     """Statistic: how far ONE rotor's speed is from what its command gives, against the others [share of its speed].
 
-        d_j = y_j - a_j - (x_j - x0_j)' b of each 0.5 s,    D_j = mean of the middle ones of 5 s,    n: rotors
+        d_j = y_j - a_j - (x_j - x0_j)' b of each 0.5 s,    D_j = mean of the calm ones of 5 s,    n: rotors
         statistic = max_j n/(n - 1) |D_j| sigma/sqrt(sigma^2 + (x_j - x0_j)' P (x_j - x0_j) + var(d_j)/ticks)
 
     sigma: the healthy rms. A window whose ticks scatter, as where rotors lag behind a turn, says less.
