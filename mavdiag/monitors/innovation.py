@@ -111,8 +111,8 @@ class Innovation(Monitor[InnovationSpec]):
     statistic has no step that few flights could not foretell. A row whose gyro is that of the three before is left out.
 
     Warm-up: half an SG window, 4 rows and 1 s; after a gap of less than a second only the first two. Latency: half an
-    SG window and up to 1 s. False alarms: aerobatics and wind that the healthy flights lacked. Blind spots:
-    a weak rotor that is trimmed away (AUC 0.66 on 57 recorded propeller cuts); anything slow.
+    SG window and up to 1 s. False alarms: aerobatics and wind that the healthy flights lacked. Blind spots: a
+    weak rotor that is trimmed away (AUC 0.66 on 57 recorded propeller cuts); anything slow.
     """
 
     name = "innovation"
@@ -153,11 +153,12 @@ class Innovation(Monitor[InnovationSpec]):
             stacked = np.concatenate([_regression(one, axis, float(mean[axis])) for one in pairs], axis=1)
             theta = _least_squares(triangle(stacked.T))
             squares = np.square(stacked[-1] - theta @ stacked[:-1])
-            if squares.mean() == 0.0:
-                raise IdentificationError(CONSTANT)
             steps = np.abs(np.diff(stacked[-1]))
-            (k0, k1), resolution = variance_law(squares, busy[axis]), float(steps[steps > 0.0].min())
-            laws.append((max(k0, resolution**2 / 12.0), k1))  # a gyro that rests on one value says no less
+            if squares.mean() == 0.0 or not steps.any():
+                raise IdentificationError(CONSTANT)
+            k0, k1 = variance_law(squares, busy[axis])
+            resolution = float(steps[steps > 0.0].min())  # a gyro that rests on one value has no less noise than this
+            laws.append((max(k0, resolution**2 / 12.0), k1))
             a.append(_four(theta[:LAG]))
             b.append(_four(theta[LAG:]))
         found = InnovationSpec(

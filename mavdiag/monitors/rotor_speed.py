@@ -75,7 +75,7 @@ class RotorSpeedSpec:
     layout: RotorLayout
     mean: tuple[float, ...]  # a: of each rotor [share of its speed]
     about: tuple[Pair, ...]  # x0: of each rotor
-    law: Pair = (0.85, 0.0)  # b
+    law: Pair = (LAW.item(0), LAW.item(1))  # b
     errors: tuple[Pair, Pair]  # P
     spread: Positive  # rms of the healthy rotors about the law [share of speed]
     window_s: Positive = WINDOW_S

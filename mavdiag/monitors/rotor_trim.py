@@ -321,7 +321,7 @@ def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats
         window_means(par, mem, 0, shift)
         shift[LIFT] = 0.0  # what the vehicle weighed when it was learnt is not known
         for j in range(LIFT):
-            shift[j] = shift[j] - par[MEAN + j] if sound else 0.0
+            shift[j] = shift[j] - par[MEAN + j] if sound else 0.0  # behind mean is about
         write(par, mem, shift, sound, out, rotors, k)
         at[k] = begin - 1 - first
         k += 1
