@@ -255,12 +255,10 @@ def test_rates_that_are_needed_are_kept_and_everything_else_passes(benches: Benc
     bench.run(4.0)
     received(bench.far)
     ours = STATION.encode(MessageId.COMMAND_LONG, 1, 1, MavCmd.SET_MESSAGE_INTERVAL, 0, MessageId.RAW_IMU, 1_000_000)
-    other = STATION.encode(
-        MessageId.COMMAND_LONG, 1, 1, MavCmd.SET_MESSAGE_INTERVAL, 0, MessageId.SYS_STATUS, 1_000_000
-    )
+    more = STATION.encode(MessageId.COMMAND_LONG, 1, 1, MavCmd.SET_MESSAGE_INTERVAL, 0, MessageId.SYS_STATUS, 1_000_000)
     [ack] = of(asked(bench, bench.behind[0], ours), MessageId.COMMAND_ACK)
     assert (field(ack, "result"), field(ack, "target_system")) == (MavResult.DENIED, 255)
-    asked(bench, bench.behind[0], other)
+    asked(bench, bench.behind[0], more)
     asked(bench, bench.behind[0], STATION.encode(MessageId.REQUEST_DATA_STREAM, 1, 1, 0, 4, 1))
     frames = received(bench.far)
     assert [field(one, "param1") for one in of(frames, MessageId.COMMAND_LONG)] == [MessageId.SYS_STATUS]

@@ -369,22 +369,20 @@ def test_nothing_that_is_missing_hurts_and_memory_does_not_grow() -> None:
         bare.play(ms, {"thrust": 0.5})
     assert bare.held("stage") == "none"
     assert [text for _, _, text in bare.texts] == ["PROP cannot forbid arming: no slot is free"]
-    busy, sizes = Controller(applet(made()), escs=True, armed=True), []
+    one, sizes = Controller(applet(made()), escs=True, armed=True), []
     rng = np.random.default_rng(6)
     for j in range(4):
-        busy.world.rpm[j] = 5000.0 + j
+        one.world.rpm[j] = 5000.0 + j
     for minute in range(3):
         for ms in range(60_000 * minute + 2000, 60_000 * minute + 62_000, 50):
             p, q, r, *outputs = rng.normal(0.0, 0.05, 7).tolist()
             named = {f"o{j}": 1500.0 + 100.0 * value for j, value in enumerate(outputs)}
             shaken = {"vx": abs(p), "vy": abs(q), "vz": abs(r)}
-            busy.play(
-                ms, {"p": p, "q": q, "r": r, "thrust": 0.5, "fz": -9.81, "roll": p, "pitch": q, **named, **shaken}
-            )
-        sizes.append(busy.kilobytes)
+            one.play(ms, {"p": p, "q": q, "r": r, "thrust": 0.5, "fz": -9.81, "roll": p, "pitch": q, **named, **shaken})
+        sizes.append(one.kilobytes)
     assert sizes[2] - sizes[1] < 1.0
-    assert list(busy.sent.logs["PRPM"].values()) == [5000.0, 5001.0, 5002.0, 5003.0]
-    assert set(busy.sent.floats) == {"PF_EVID", "PF_VIB", "PF_TRIM", "PF_LOSS"}
+    assert list(one.sent.logs["PRPM"].values()) == [5000.0, 5001.0, 5002.0, 5003.0]
+    assert set(one.sent.floats) == {"PF_EVID", "PF_VIB", "PF_TRIM", "PF_LOSS"}
 
 
 def test_the_command_writes_the_script_and_says_what_it_leaves_out(tmp_path: Path) -> None:

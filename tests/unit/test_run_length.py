@@ -129,6 +129,10 @@ def test_a_gyro_bias_like_the_healthy_one_does_not_count() -> None:
     assert spec.mean == pytest.approx((0.05, 0.05, 0.05), abs=0.02)
     found = read(Innovation(spec), responding(3000, 7, bias=0.05))
     assert float(np.median(found.value[found.valid])) == pytest.approx(1.0, abs=0.1)
+    dead = responding(6000, 6)
+    dead.rates.gyro[:, 2] = 0.5
+    with pytest.raises(IdentificationError, match="constant"):
+        fit([[dead]])
 
 
 def test_one_wild_sample_adds_no_more_than_its_bound() -> None:
