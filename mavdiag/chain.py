@@ -12,19 +12,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mavdiag.airframe.fingerprint import FIRST_S, LEAST_OUTPUTS, MOTORS_S, Likeness, Outcome, compare
+from mavdiag.airframe.fingerprint import LEAST_OUTPUTS, Beginning, Likeness
 from mavdiag.baseline import Baseline, check_link
 from mavdiag.decision.alarm import NOTHING_SEEN, DecisionSpec, DecisionState
 from mavdiag.decision.diagnosis import Change, Diagnosis, Event
 from mavdiag.decision.grading import known_fault_types
-from mavdiag.errors import BaselineError
+from mavdiag.errors import BaselineError, InputError
 from mavdiag.kernel import LOOK_NS, VALUES, Account, Gauge, Kernel, Memory, Piece, Slot
 from mavdiag.kernel import warm as warm_kernel
 from mavdiag.link.samples import joined
 from mavdiag.link.samples import warm as warm_samples
 from mavdiag.monitors import MONITORS, monitor_of
 from mavdiag.rows.align import BREAK_S, AlignSpec
-from mavdiag.rows.block import OUTPUTS, Block
 from mavdiag.rows.front import Front, FrontState, Rows
 from mavdiag.rows.front import warm as warm_rows
 from mavdiag.rows.gate import Border
@@ -68,7 +67,7 @@ NOTHING = ChainOutput()
 class ChainState:
     """Memory of the front, the kernel and the decision; a step changes it in place.
 
-    beginning: rows until there are enough to compare the vehicle; None afterwards. begun_s: valid time in them.
+    beginning: what compares the vehicle, None once it has.
     waiting: telemetry that came before the rate was measured. measured: whether it is known to be the baseline's.
     chunks: since the last rows. now_ns: of the latest row.
     refused: why the link or the vehicle is not the baseline's; empty if it is, or is not measured yet.
@@ -79,8 +78,7 @@ class ChainState:
     memory: Memory
     decision: DecisionState
     now_ns: int | None = None
-    beginning: list[Rows] | None = None
-    begun_s: float = 0.0
+    beginning: Beginning | None = None
     waiting: list[Telemetry] = field(default_factory=list)
     measured: bool = False
     chunks: int = 0
@@ -132,7 +130,8 @@ class Chain:
 
     def start(self, held: Diagnosis = NOTHING_SEEN) -> ChainState:
         """Nothing seen yet. held: what is known from before, as `landed` has it."""
-        beginning = None if self.baseline.fingerprint is None else list[Rows]()
+        learnt, layout = self.baseline.fingerprint, self.baseline.airframe.layout
+        beginning = None if learnt is None else Beginning(learnt, layout)
         return ChainState(self.kernel, self.front.start(), self.kernel.start(), DecisionState(held), None, beginning)
 
     def step(self, state: ChainState, telemetry: Telemetry) -> ChainOutput:
@@ -211,8 +210,12 @@ class Chain:
         steps = steps[steps <= BREAK_S]
         if len(steps) + 1 < LEAST_SAMPLES or float(np.sum(steps)) < least_s:
             return None
+        try:
+            mean_s = measure_grid(telemetry)[0] if mean_s is None else mean_s
+        except InputError:  # too few whose stamps do not leap
+            return None
         found = ""
-        for dt_s in (measure_grid(telemetry)[0] if mean_s is None else mean_s, float(np.median(steps))):
+        for dt_s in (mean_s, float(np.median(steps))):
             try:
                 check_link(self.baseline, profile=self.profile or self.baseline.link.profile, dt_s=dt_s)
                 return ""
@@ -245,24 +248,13 @@ class Chain:
         return ChainOutput(tuple(events), tuple(changes), *spans_s, now_ns, likeness, tuple(pieces))
 
     def _compared(self, state: ChainState, rows: Rows) -> Likeness | None:
-        if state.beginning is None or self.baseline.fingerprint is None:
+        found = None if state.beginning is None else state.beginning.take(rows)
+        if found is None or state.beginning is None:
             return None
-        count = int(np.count_nonzero(rows.block.valid))
-        if count == 0 and not (state.beginning and state.beginning[-1].block.valid.any()):
-            return None  # nothing is measured in it; one such block parts the others
-        block = rows.block
-        x = block.x[: OUTPUTS + block.outputs].copy()  # without the room
-        state.beginning.append(Rows(Block(block.segment, block.dt_s, block.t_ns, x, block.outputs), rows.rates_ns))
-        before_s, state.begun_s = state.begun_s, state.begun_s + count * block.dt_s
-        for span_s in (MOTORS_S, FIRST_S):
-            if before_s < span_s <= state.begun_s:
-                found = compare(self.baseline.fingerprint, state.beginning, self.baseline.airframe.layout, span_s)
-                if span_s == MOTORS_S and found.outcome is Outcome.FAR:
-                    state.refused = f"another vehicle: {found.sentence(self.baseline.airframe.name)}"
-                if span_s == FIRST_S or state.refused:
-                    state.beginning = None
-                    return found
-        return None
+        if not state.beginning.whole:
+            state.refused = f"another vehicle: {found.sentence(self.baseline.airframe.name)}"
+        state.beginning = None
+        return found
 
     def _append(self, state: ChainState) -> None:
         waiting, state.waiting = state.waiting, []

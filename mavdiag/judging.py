@@ -7,7 +7,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from mavdiag.airframe.fingerprint import Likeness, Outcome, compare
+from mavdiag.airframe.fingerprint import Likeness, Outcome
 from mavdiag.airframe.parameters import layout_from_parameters
 from mavdiag.baseline import Baseline
 from mavdiag.chain import Chain, ChainOutput, chain_of, suited
@@ -206,9 +206,8 @@ class _Run:
             self._take(chain.judge(self.state, (part,)))
             if self.likeness.outcome is Outcome.FAR:
                 return
-        learnt = chain.baseline.fingerprint
-        if self.state.beginning and learnt is not None:
-            self.likeness = compare(learnt, self.state.beginning, chain.baseline.airframe.layout)
+        if self.state.beginning is not None:
+            self.likeness = self.state.beginning.likeness()
         self._take(chain.finish(self.state))
         self._settle()
 

@@ -19,13 +19,14 @@ from mavdiag.airframe.airframe import UNNAMED
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.airframe.trim import LEVEL_RATIO, MIN_OUTPUT, rises, shown_trim
 from mavdiag.errors import InputError
-from mavdiag.rows.block import Block
+from mavdiag.rows.block import OUTPUTS, Block
 from mavdiag.rows.front import Rows
 from mavdiag.rows.windows import means_from, window_all, window_mean, window_rows
 from mavdiag.telemetry import BoolArray, FloatArray, Signal
 
 FIRST_S = 20.0  # of judged flight that is compared (our choice)
 MOTORS_S = 1.0  # of judged flight, which shows how many motors there are (our choice)
+BORDERS_S = (MOTORS_S, 4.0, 8.0, 12.0, 16.0, FIRST_S)  # of its parts: only the latest one is kept (our choice)
 PART_S = 10.0  # of a learnt flight, by which its spread is measured: half of that, so that 30 s have three (our choice)
 MOST_PARTS = 12  # of a flight: enough to see what it varies by (our choice)
 SIGNIFICANT = 5.0  # spreads (our choice)
@@ -174,16 +175,72 @@ def merged(one: Fingerprint, other: Fingerprint | None) -> Fingerprint:
     return Fingerprint((*figures, *theirs.values()), n + m)
 
 
-def compare(
-    fingerprint: Fingerprint, flight: Sequence[Rows], layout: RotorLayout | None, span_s: float = FIRST_S
-) -> Likeness:
-    """Compare the beginning of judged flight, in chunks of any size; one that shows none of the traits is alike.
+class _Shown(NamedTuple):
+    """What the figures of a flight are made of, in some rows of it."""
 
-    span_s: in less than `FIRST_S` only the motors are counted.
+    trim: FloatArray  # (k, 3) means over a calm second
+    gyro: Bends
+    felt: Bends
+    thrust: FloatArray  # of calm rows
+    levels: FloatArray  # the motors' mean outputs in them, where no thrust and the layout are known
+    outputs: FloatArray  # (outputs, n) that are known
+
+
+class Beginning:
+    """The first `FIRST_S` of judged flight, compared with a fingerprint as they come; the motors after `MOTORS_S`.
+
+    Traits are taken of each part between `BORDERS_S`. whole: all of it has come.
     """
-    seen = traits(beginning(flight, span_s), layout)
-    figures = (one for one in fingerprint.figures if span_s >= FIRST_S or one.name == "motors")
-    known = {figure.name: (figure.mean, figure.spread) for figure in figures}
+
+    def __init__(self, learnt: Fingerprint, layout: RotorLayout | None) -> None:
+        self.whole, self._learnt, self._layout = False, learnt, layout
+        self._rows, self._shown, self._valid = list[Rows](), list[_Shown](), 0  # of the latest part, before it, of both
+
+    def take(self, rows: Rows) -> Likeness | None:
+        """Take the next rows; the likeness once it is whole, or once the motors are those of another vehicle."""
+        block, first = rows.block, 0
+        at = np.flatnonzero(block.valid)
+        if not len(at) and not (self._rows and self._rows[-1].block.valid.any()):
+            return None  # nothing is measured in it; one such block parts the others
+        for border_s in BORDERS_S:
+            border = window_rows(border_s, block.dt_s) - self._valid
+            if 0 < border <= len(at):
+                stop = int(at[border - 1]) + 1
+                self._keep(rows.part(first, stop))
+                self._shown, self._rows, self._valid = self._seen(), [], self._valid + border
+                at, first, self.whole = at[border:], stop, border_s == FIRST_S
+                found = self.likeness(motors=not self.whole) if border_s in (MOTORS_S, FIRST_S) else None
+                if found is not None and (self.whole or found.outcome is Outcome.FAR):
+                    return found
+        self._keep(rows.part(first, len(block)))
+        self._valid += len(at)
+        return None
+
+    def likeness(self, *, motors: bool = False) -> Likeness:
+        """How what has come compares; where it shows none of the traits it is alike. motors: only they are counted."""
+        figures = (one for one in self._learnt.figures if one.name == "motors" or not motors)
+        return _compared(_figures(self._seen()), {one.name: (one.mean, one.spread) for one in figures}, self._layout)
+
+    def _keep(self, rows: Rows) -> None:
+        block = rows.block
+        x = block.x[: OUTPUTS + block.outputs].copy()  # without the room
+        self._rows.append(Rows(Block(block.segment, block.dt_s, block.t_ns, x, block.outputs), rows.rates_ns))
+
+    def _seen(self) -> list[_Shown]:
+        return [*self._shown, *(_shown(block, self._layout) for block in joined(self._rows))]
+
+
+def compare(learnt: Fingerprint, flight: Sequence[Rows], layout: RotorLayout | None) -> Likeness:
+    """Compare the beginning of judged flight with a fingerprint."""
+    beginning = Beginning(learnt, layout)
+    for rows in flight:
+        if not beginning.whole:
+            beginning.take(rows)
+    return beginning.likeness()
+
+
+def _compared(seen: FloatArray, known: dict[str, tuple[float, float]], layout: RotorLayout | None) -> Likeness:
+    """seen: as `traits` has them. known: mean and spread of those that are compared."""
     learnt, spread = np.array([known.get(trait.name, (math.nan, 1.0)) for trait in TRAITS]).T
     shift = seen - learnt
     far, near = _trim_differs(shift, spread, layout)
@@ -239,21 +296,6 @@ def joined(flight: Sequence[Rows]) -> list[Block]:
     return out
 
 
-def beginning(flight: Sequence[Rows], span_s: float) -> list[Block]:
-    """The first rows of a flight that hold so much valid flight [s], one block a segment."""
-    seen_s, enough, found = 0.0, 0, list[Block]()
-    while enough < len(flight) and seen_s <= span_s:
-        seen_s += np.count_nonzero(flight[enough].block.valid) * flight[enough].block.dt_s
-        enough += 1
-    for block in joined(flight[:enough]):
-        stop = int(np.searchsorted(np.cumsum(block.valid) * block.dt_s, span_s, side="right"))
-        if stop < len(block):
-            return [*found, block.rows(0, stop)]
-        found.append(block)
-        span_s -= np.count_nonzero(block.valid) * block.dt_s
-    return found
-
-
 def _parts(flight: Sequence[Rows]) -> Iterator[Block]:
     sizes = [(one.block.segment, len(one.block), one.block.dt_s) for one in flight]
     stops = np.cumsum([size for _, size, _ in sizes])
@@ -273,17 +315,6 @@ def _parts(flight: Sequence[Rows]) -> Iterator[Block]:
 def traits(blocks: Iterable[Block], layout: RotorLayout | None) -> FloatArray:
     """The figures of a flight, (len(TRAITS),), NaN where it does not show them. layout: None if it is not known."""
     return _figures([_shown(block, layout) for block in blocks])
-
-
-class _Shown(NamedTuple):
-    """What the figures of a flight are made of, in some rows of it."""
-
-    trim: FloatArray  # (k, 3) means over a calm second
-    gyro: Bends
-    felt: Bends
-    thrust: FloatArray  # of calm rows
-    levels: FloatArray  # the motors' mean outputs in them, where no thrust and the layout are known
-    outputs: FloatArray  # (outputs, n) that are known
 
 
 def _shown(block: Block, layout: RotorLayout | None) -> _Shown:

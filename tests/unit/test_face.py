@@ -105,6 +105,14 @@ def test_a_link_that_comes_in_chunks_is_measured_and_a_refused_one_never_judged(
     assert bool(state.refused) is not judged
 
 
+def test_a_link_of_which_too_few_stamps_do_not_leap_is_not_measured_yet() -> None:
+    """21 samples of which 3 leap were an error of the program."""
+    t_ns, chain = 10**8 * np.arange(21), chain_of(whole())
+    t_ns[5::7] += 51 * 10**7
+    chain.step(state := chain.start(), Telemetry((Series(Signal.BODY_RATE, t_ns, t_ns, np.zeros((21, 3))),)))
+    assert (state.refused, state.measured, len(state.waiting)) == ("", False, 1)
+
+
 def test_a_log_of_arrays_is_learnt_from_and_judged(tmp_path: Path) -> None:
     def of_arrays(name: str, telemetry: Telemetry) -> md.Log:
         arrays = {series.signal: (series.t_s - 5.0, series.values) for series in telemetry}
