@@ -16,7 +16,7 @@ from mavdiag.link.samples import joined
 from mavdiag.link.wants import LABELS
 from mavdiag.monitors import NEED_LAYOUT
 from mavdiag.rows.gate import HIDDEN_S, SHOWS_FLIGHT, hidden_flight
-from mavdiag.telemetry import Instant, Series, Telemetry
+from mavdiag.telemetry import Instant, Telemetry
 from mavdiag.units import NS_PER_S
 
 WARM_S = 20.0  # flight in which a monitor ought to have judged something (our choice: twice the longest warm-up)
@@ -104,23 +104,23 @@ class _Sight:
     def __init__(self, chain: Chain) -> None:
         self.hidden = ""
         self._chain = chain
-        self._pieces: list[tuple[int, Telemetry]] = []  # what tells flight from ground, with its newest time [ns]
+        self._fresh: list[Telemetry] = []  # what tells flight from ground, since the last look
+        self._pieces: list[tuple[int, Telemetry]] = []  # before it, with its newest time [ns]
         self._spans: list[tuple[int, int]] = []  # first and last row of each part of them that flew [ns]
         self._looked_ns = 0
 
     def step(self, telemetry: Telemetry, output: ChainOutput) -> None:
-        shows = (part for part in telemetry.series if part.signal in SHOWS_FLIGHT and len(part))
-        # Copies, so that not all that came with them is kept, too.
-        series = tuple(Series(part.signal, part.t_ns.copy(), part.host_ns.copy(), part.values.copy()) for part in shows)
-        if not series:
+        shows = tuple(part for part in telemetry.series if part.signal in SHOWS_FLIGHT and len(part))
+        if not shows:
             return
-        now_ns = max(int(part.t_ns[-1]) for part in series)
+        now_ns = max(part.t_ns.item(-1) for part in shows)
+        self._fresh.append(Telemetry(shows))
         if output.flight_s > 0 and output.now_ns is not None:
             self._spans.append((output.now_ns - round(output.flight_s * NS_PER_S), output.now_ns))
-        self._pieces.append((now_ns, Telemetry(series)))
         if now_ns - self._looked_ns < LOOK_NS:
             return
-        self._looked_ns = now_ns
+        self._looked_ns, self._fresh, fresh = now_ns, [], self._fresh
+        self._pieces.append((now_ns, joined(fresh)))
         flown_ns = self._spans[-1][1] if self._spans else now_ns
         since_ns = flown_ns - FLOWN_NS
         self._spans = [span for span in self._spans if span[1] >= since_ns]
