@@ -31,9 +31,7 @@ from mavdiag.telemetry import Axis, FloatArray, IntArray, Signal
 from mavdiag.thresholds.envelope import ORDER, Covered, excess_of, farthest, limits_of, seen_from
 from mavdiag.units import NS_PER_MS, NS_PER_S
 
-LOOK_NS = (
-    40 * NS_PER_MS
-)  # between two looks: whole periods of 25 and 50 Hz, of which rows wait for a sample (our choice)
+LOOK_NS = 40 * NS_PER_MS  # between two looks: whole periods of 25 and 50 Hz, whose samples rows wait for (our choice)
 STALE_LOOKS = 24  # a slot whose last valid value is older does not count (our choice)
 CALM_BELOW = 0.7  # of the threshold (our choice)
 LATE_NS = NS_PER_S  # so much a value may come after the rows of its time: half a filter's window (our choice)
