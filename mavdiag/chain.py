@@ -6,7 +6,7 @@ Chunks wait in the front until they bring the rows of the next look (`LOOK_NS`).
 rate is measured: a link that is not the baseline's is refused (`Chain.refusal`), and measured again every 2 s.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -291,11 +291,11 @@ def front_of(baseline: Baseline) -> Front:
     link, whose, needed = baseline.link, baseline.airframe, {one for monitor in MONITORS for one in monitor.needs}
     takes: dict[Signal, tuple[int, ...]] = {} if Signal.RATE_SETPOINT in needed else {Signal.RATE_SETPOINT: ()}
     if whose.outputs is not None:
-        rotors: Iterable[int] = (output - 1 for output in whose.outputs)
-    else:
-        rotors = () if whose.layout is None else range(max(whose.layout.rotors, LEAST_OUTPUTS))
-    if outputs := tuple(rotors):
-        takes |= dict.fromkeys((Signal.ACTUATOR, Signal.ROTOR_SPEED), outputs)
+        by_rotor = tuple(output - 1 for output in whose.outputs)
+        takes |= {Signal.ACTUATOR: by_rotor, Signal.ROTOR_SPEED: by_rotor}
+    elif whose.layout is not None:
+        rotors = tuple(range(whose.layout.rotors))
+        takes |= {Signal.ACTUATOR: tuple(range(max(len(rotors), LEAST_OUTPUTS))), Signal.ROTOR_SPEED: rotors}
     rates = RateSpec.of(link.dt_s, baseline.window.samples, baseline.window.order)
     align = AlignSpec(link.dt_s, link.grid, link.max_gap_s, quality=baseline.link_quality, takes=takes)
     return Front(align, link.gate, rates)

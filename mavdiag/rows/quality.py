@@ -283,7 +283,7 @@ def _plain(s: Samples, first: int, stop: int) -> int:
         for i in range(first, stop):
             value, span_ns = row[i], t_ns[i] - before_ns
             run = run + 1 if not abs(value - came) > quiet else 0
-            if run > alone or abs(_short(s, value - last - slope * span_ns)) > leap:
+            if (run > alone and value == value) or abs(_short(s, value - last - slope * span_ns)) > leap:
                 stop = i
                 break
             slope = _short(s, value - last) * (1.0 / span_ns) if leads and span_ns != 0 else 0.0
