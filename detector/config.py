@@ -29,7 +29,7 @@ LOOPBACK = "127.0.0.1"
 NOT_KEPT = "not kept: every start learns anew, broken or not; name a --save FILE"  # what is learned without one
 ANY = {"0.0.0.0": LOOPBACK, "::": "::1"}  # who listens everywhere is asked on loopback
 
-Positive = Annotated[float, Field(gt=0)]
+Megabytes = Annotated[float, Field(ge=0.01, le=1e6)]
 SystemId = Annotated[int, Field(ge=1, le=255)]
 Kept = Annotated[int, Field(ge=0, le=1000)]
 Text = Annotated[str, Field(min_length=1)]
@@ -60,9 +60,9 @@ class SessionSettings(BaseModel):
     learn: Annotated[float | None, Field(gt=0, le=LONGEST_S), _option("SECONDS", _LEARN)] = None
     negotiate: bool = True  # ask the autopilot for streams that are missing or too slow
     ask_hz: Annotated[float, Field(gt=0, le=10_000)] | None = None  # when learning; default: the profile's
-    min_rate_hz: Positive = LEAST_HZ  # slowest streams to learn from, and to judge where the baseline's are no slower
+    min_rate_hz: Annotated[float, Field(gt=0, le=10_000)] = LEAST_HZ  # of streams, but for a slower baseline's
     threshold_scale: Annotated[float, Field(ge=0.5, le=4)] = 1.0  # of all thresholds
-    link_lost_s: Positive = 3.0  # silence that means that the link is lost: three heartbeats
+    link_lost_s: Annotated[float, Field(ge=1, le=600)] = 3.0  # silence of a link that is lost: three heartbeats
     suspect: tuple[str, ...] = ()  # monitors ("fsd", "fsd.pitch") that only raise a suspicion
     texts_per_minute: Annotated[int, Field(ge=4, le=120)] = 30  # half for declared faults, half for the rest
     named_values_hz: Annotated[float, Field(gt=0, le=20)] = 5.0  # rate of the NAMED_VALUE_FLOATs
@@ -93,10 +93,10 @@ class Settings(SessionSettings):
     forward: Annotated[tuple[str, ...], _option("ENDPOINT", _FORWARD)] = ()
     keep_rates: Annotated[bool, _option(None, "Keep back their requests for other rates.", "--keep-rates")] = False
     journal: Annotated[Path | None, _option("FILE.jsonl", "Append every event as a line.")] = None
-    journal_mb: Positive = 100.0  # size at which a new one is begun
+    journal_mb: Megabytes = 100.0  # size at which a new one is begun
     journal_keep: Kept = 9  # old ones that stay
     record: Annotated[Path | None, _option("FILE.tlog", "Append every frame that the link brings.")] = None
-    record_mb: Positive = 1000.0  # size at which a new one is begun: some 3 h of 1 kHz
+    record_mb: Megabytes = 1000.0  # size at which a new one is begun: some 3 h of 1 kHz
     record_keep: Kept = 9  # old ones that stay
     hook: Annotated[tuple[str, ...], _option("ADDRESS", _HOOK)] = ()
     history: Annotated[Text | None, _option("FILE|URL", _HISTORY)] = None

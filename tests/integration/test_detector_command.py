@@ -192,6 +192,7 @@ def test_a_dead_link_behind_does_not_hold_up_the_vehicles(baseline: Path) -> Non
         ("learn = -1", "learn: Input should be greater than 0"),
         ("learn = 10\nvehicle = 256", "vehicle: "),
         ("learn = 3601", "learn: Input should be less than or equal to 3600"),
+        ("learn = 9\nlink_lost_s = 0.001", "link_lost_s: Input should be greater than or equal to 1"),
         ("baseline = ''", "baseline: is empty; name one, or leave it out"),
         ("learn = 9\nmetrics = '9100'\nweb = 'localhost:9100'", "--web localhost:9100 listen on one port"),
         ("learn = 9\nforward = ['udpin:0.0.0.0:14550']", "udpin:0.0.0.0:14550 listen on one port"),
