@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
-from detector.config import Settings, collect_values, example_text, load_settings, options, split_address
+from detector.config import NOT_KEPT, Settings, collect_values, example_text, load_settings, options, split_address
 from detector.daemon import Daemon, Host
 from detector.fitting import ProcessFitter
 from detector.flights import Flights
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 COMPILE_S = 3.0  # of processor time before it is said; to load what was compiled takes half a second (our choice)
 
-app = commandline.application("Watch vehicles over MAVLink for damaged propellers.", completed=True)
+app = commandline.application("Watch vehicles over MAVLink for damaged propellers.", alone=True)
 
 
 def _flag(name: str, text: str) -> Any:
@@ -63,7 +63,6 @@ def detect(
     working: Annotated[
         bool, _flag("--working", "Ask the daemon that serves --metrics whether it works: exit code 0 or 1.")
     ] = False,
-    version: Annotated[bool, commandline.version_option("mavdiag-detector")] = False,
     **given: Any,
 ) -> None:
     """Watch vehicles over MAVLink for damaged propellers, until SIGINT or SIGTERM.
@@ -108,6 +107,8 @@ def _serve(settings: Settings, *, reset_stamp: bool) -> None:
         notifier = enter(closing(Notifier(os.environ)))
         baseline, baselines = _baselines(settings)
         airframe = _airframe(settings)
+        if settings.learn is not None and settings.save is None:
+            _say(f"what is learned is {NOT_KEPT}")
         _warm()
         signing, journal, recorder, flights, metrics, web = None, None, None, None, None, None
         epoch_ns = time.time_ns() - time.monotonic_ns()

@@ -78,6 +78,7 @@ class Kind(Enum):
     RATES = Policy(Severity.INFO, "PROP got {}")  # message and rate, ...
     NO_LAYOUT = Policy(Severity.WARNING, "PROP rotor layout unknown: {} monitors off")  # how many
     OTHER_VEHICLE = Policy(Severity.WARNING, "PROP not the vehicle of the baseline")
+    OTHER_GYRO = Policy(Severity.WARNING, "PROP another gyro: {}")  # its message
     REACTING = Policy(Severity.CRITICAL, "PROP {} in {}")  # the action, how long and what calls it off
     REACTED = Policy(Severity.CRITICAL, "PROP {} {}")  # the action, what became of it
     ON_FAULT = Policy(Severity.CRITICAL, "PROP on fault: {}")  # what was found

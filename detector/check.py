@@ -3,7 +3,7 @@
 import http.client
 from collections.abc import Iterator, Mapping
 
-from detector.config import Settings, check_installed, split_address
+from detector.config import ANY, NOT_KEPT, Settings, check_installed, split_address
 from detector.journal import check_files
 from detector.judging import chain_for
 from detector.rules import parse_rules
@@ -18,7 +18,6 @@ from mavdiag.storage import check_writable
 
 FRESH_S = 5.0  # figures are set once a second; older ones mean that the loop hangs (our choice)
 TIMEOUT_S = 3.0
-ANY = {"0.0.0.0": "127.0.0.1", "::": "::1"}  # who listens everywhere is asked on loopback
 
 
 def plan(
@@ -40,10 +39,12 @@ def plan(
         yield f"signing    by {settings.signing_key}; unsigned frames are refused"
     if baseline is not None:
         yield f"judges by  {settings.baseline or settings.save}: {_summary(baseline, settings)}"
-    elif settings.learn is not None and settings.save is not None:
-        check_writable(settings.save)
+    elif settings.learn is not None:
         about = f" about {airframe.name}" if airframe else ""
-        yield f"learns     from {settings.learn:g} s of healthy flight{about}, kept in {settings.save}"
+        if settings.save is not None:
+            check_writable(settings.save)
+        kept = NOT_KEPT if settings.save is None else f"kept in {settings.save}"
+        yield f"learns     from {settings.learn:g} s of healthy flight{about}, {kept}"
     for sysid, known in own.items():
         named = settings.vehicles.get(sysid) if isinstance(sysid, int) else None
         source = named.baseline if named else settings.baselines or "what was learned earlier"

@@ -5,27 +5,31 @@ Each setting is one field, with its option of the command line where it has one;
 
 import importlib.util
 import inspect
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import combinations
 from pathlib import Path
 from typing import Annotated, Any, Self
 
 import typer
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator, model_validator
 from typer.models import OptionInfo
 
 from detector.hooks import parse_hook
 from detector.rules import AUTOMATIC, parse_modes, parse_rules
 from detector.web.access import is_loopback
 from mavdiag.errors import InputError, UsageError, missing_extra
-from mavdiag.link.ports import parse_address
+from mavdiag.link.ports import Kind, parse_address
 from mavdiag.link.profiles import profile_named
 from mavdiag.link.wants import LEAST_HZ
 from mavdiag.storage import read_toml
 
+LONGEST_S = 3600.0  # of learning: the flight is kept in memory until then, a gigabyte of 1 kHz (our choice)
 ENVIRONMENT = "MAVDIAG_DETECTOR_"  # prefix of the variables that set a setting; ..._CONFIG names the file
 LOOPBACK = "127.0.0.1"
+NOT_KEPT = "not kept: every start learns anew, broken or not; name a --save FILE"  # what is learned without one
+ANY = {"0.0.0.0": LOOPBACK, "::": "::1"}  # who listens everywhere is asked on loopback
 
-Positive = Annotated[float, Field(gt=0)]
+Megabytes = Annotated[float, Field(ge=0.01, le=1e6)]
 SystemId = Annotated[int, Field(ge=1, le=255)]
 Kept = Annotated[int, Field(ge=0, le=1000)]
 Text = Annotated[str, Field(min_length=1)]
@@ -35,6 +39,7 @@ def _option(metavar: str | None, text: str, *names: str) -> Any:
     return typer.Option(*names, metavar=metavar, help=text)
 
 
+_LEARN = "Learn a baseline first, from so much healthy flight."
 _CONNECT = "udpin:H:P, udpout:H:P, tcp:H:P, tcpin:H:P or /dev/ttyX,BAUD.  [default: udpin:127.0.0.1:14550]"
 _LAYOUT = "Its rotor layout, as in `mavdiag identify`.  [default: what it shows]"
 _FORWARD = "A further link that gets vehicle and alerts, e.g. a ground station; repeatable."
@@ -52,12 +57,12 @@ class SessionSettings(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    learn: Annotated[Positive | None, _option("SECONDS", "Learn a baseline first, from so much healthy flight.")] = None
+    learn: Annotated[float | None, Field(gt=0, le=LONGEST_S), _option("SECONDS", _LEARN)] = None
     negotiate: bool = True  # ask the autopilot for streams that are missing or too slow
     ask_hz: Annotated[float, Field(gt=0, le=10_000)] | None = None  # when learning; default: the profile's
-    min_rate_hz: Positive = LEAST_HZ  # slowest streams to learn from, and to judge where the baseline's are no slower
+    min_rate_hz: Annotated[float, Field(gt=0, le=10_000)] = LEAST_HZ  # of streams, but for a slower baseline's
     threshold_scale: Annotated[float, Field(ge=0.5, le=4)] = 1.0  # of all thresholds
-    link_lost_s: Positive = 3.0  # silence that means that the link is lost: three heartbeats
+    link_lost_s: Annotated[float, Field(ge=1, le=600)] = 3.0  # silence of a link that is lost: three heartbeats
     suspect: tuple[str, ...] = ()  # monitors ("fsd", "fsd.pitch") that only raise a suspicion
     texts_per_minute: Annotated[int, Field(ge=4, le=120)] = 30  # half for declared faults, half for the rest
     named_values_hz: Annotated[float, Field(gt=0, le=20)] = 5.0  # rate of the NAMED_VALUE_FLOATs
@@ -88,10 +93,10 @@ class Settings(SessionSettings):
     forward: Annotated[tuple[str, ...], _option("ENDPOINT", _FORWARD)] = ()
     keep_rates: Annotated[bool, _option(None, "Keep back their requests for other rates.", "--keep-rates")] = False
     journal: Annotated[Path | None, _option("FILE.jsonl", "Append every event as a line.")] = None
-    journal_mb: Positive = 100.0  # size at which a new one is begun
+    journal_mb: Megabytes = 100.0  # size at which a new one is begun
     journal_keep: Kept = 9  # old ones that stay
     record: Annotated[Path | None, _option("FILE.tlog", "Append every frame that the link brings.")] = None
-    record_mb: Positive = 1000.0  # size at which a new one is begun: some 3 h of 1 kHz
+    record_mb: Megabytes = 1000.0  # size at which a new one is begun: some 3 h of 1 kHz
     record_keep: Kept = 9  # old ones that stay
     hook: Annotated[tuple[str, ...], _option("ADDRESS", _HOOK)] = ()
     history: Annotated[Text | None, _option("FILE|URL", _HISTORY)] = None
@@ -105,6 +110,13 @@ class Settings(SessionSettings):
     max_vehicles: SystemId = 128  # further ones are not watched
     profile: Annotated[str | None, _option("NAME", "qdrone2, spec, ardupilot or px4.  [default: as sent]")] = None
     tick_s: Annotated[float, Field(ge=0.005, le=0.5)] = 0.05  # how often the daemon looks at its links
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _named(cls, value: Any, info: ValidationInfo) -> Any:
+        if value == "" and cls.model_fields[info.field_name or ""].default is None:  # as a path: the present folder
+            raise ValueError("is empty; name one, or leave it out")
+        return value
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -183,22 +195,30 @@ def load_settings(
         settings = Settings.model_validate(values)
     except ValidationError as error:
         raise UsageError(_reason(error, where)) from error
-    for address in (settings.connect, *settings.forward):
-        parse_address(address)
     for hook in settings.hook:
         parse_hook(hook)
     parse_rules(settings.on_fault)
     parse_modes(settings.on_fault_modes)
     if settings.profile is not None:
         profile_named(settings.profile)
-    if settings.metrics is not None:
-        split_address(settings.metrics, "metrics")
     if settings.web is not None:
         page_address(settings.web, settings.web_token_file, settings.web_names)
-    if settings.learn is not None and settings.save is None:
-        said = "learn needs save: a FILE that keeps what is learned, or every start learns anew, broken or not"
-        raise UsageError(f"{where.get('learn', '')}{said}; or name a --baseline FILE")
+    for one, other in combinations(_listening(settings), 2):
+        hosts = {one[1], other[1]}
+        if one[2:] == other[2:] and (len(hosts) == 1 or hosts & ANY.keys() or all(is_loopback(host) for host in hosts)):
+            raise UsageError(f"{one[0]} and {other[0]} listen on one port; give each its own")
     return settings
+
+
+def _listening(settings: Settings) -> Iterator[tuple[str, str, int, bool]]:
+    """Who listens for others, on which host and port, and whether by UDP; a port of 0 is any that is free."""
+    for name, said in (("metrics", settings.metrics), ("web", settings.web)):
+        if said is not None and (place := split_address(said, name))[1]:
+            yield f"--{name} {said}", *place, False
+    for address in (settings.connect, *settings.forward):
+        kind, host, port = parse_address(address)
+        if kind in (Kind.UDP_IN, Kind.TCP_SERVER) and port:
+            yield address, host, port, kind is Kind.UDP_IN
 
 
 def page_address(web: str, token_file: Path | None, names: Sequence[str] = ()) -> tuple[str, int]:

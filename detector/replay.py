@@ -202,14 +202,14 @@ def serve(
     from_s: float = 0.0,
 ) -> None:
     """Play a log on the live page until a signal comes. The options are those of `mavdiag replay`."""
+    token = None if web_token_file is None else read_token(web_token_file)
+    place = Access(*page_address(web, web_token_file), token)
     with commandline.stop_signals() as stopped:
         known, read = Baseline.load(baseline), read_log(log, vehicle)
         playable(known, read, from_s)
         judged = Judged(read, known, read.vehicle or vehicle or 1)
         warm()
-        token = None if web_token_file is None else read_token(web_token_file)
-        place, run = Access(*page_address(web, web_token_file), token), f"{judged.begin_ns:x}-0"
-        child = ServerProcess(place, run, partial(commandline.say, err=True), niceness=0)
+        child = ServerProcess(place, f"{judged.begin_ns:x}-0", partial(commandline.say, err=True), niceness=0)
         with closing(child):
             child.start()
             commandline.say(f"replay: {log.name} on {child.where}; Ctrl-C ends it")
@@ -223,6 +223,6 @@ def serve(
 
 
 if __name__ == "__main__":
-    app = commandline.application("Play a log on the live page.")
+    app = commandline.application("Play a log on the live page.", alone=True)
     app.command()(serve)
     commandline.run(app, "mavdiag replay")

@@ -57,6 +57,7 @@ class Session:
         self._named_values = NamedValues(1.0 / settings.named_values_hz)
         self.armed, self._armings = False, 0
         self.came = Telemetry()  # with the last step
+        self._gyro = message_name(spec.profile.imu)  # what its gyro is read from, as told last
         self._outcome: FitOutcome | None = None
         self._looked, self._changes = Instant(0), 0  # when it was asked what the streams lack; rates changed by then
         self._unjudged: dict[str, str] = {}  # monitors that were said not to judge, with the reason
@@ -204,10 +205,14 @@ class Session:
         streams, profile, own = self.streams, self._profile(received), self.spec.profile
         had_gyro, had_doubt = streams.gyro.samples > 0, streams.scale_doubt
         streams.observe(received.telemetry, now, profile)
-        if streams.gyro.samples and not had_gyro and profile.imu != own.imu:
-            text = f"the gyro is read from {message_name(profile.imu)}, for {message_name(own.imu)} does not come"
+        gyro = message_name(profile.imu) + f" of sensor {received.sensor}" * bool(received.sensor)
+        if streams.gyro.latest is not None and gyro != self._gyro:
+            missing = self._gyro + " of sensor 0" * bool(received.sensor)
+            text = f"the gyro is read from {gyro}, for {missing} does not come"
             poor = ": the estimator's rates, filtered, at a low rate and without accelerometer"
-            self._effects.append(Note(text + poor * (profile.imu == LAST_RESORT)))
+            self._gyro, other = gyro, "; what was learnt may not suit another sensor" * had_gyro
+            self._effects.append(Note(text + poor * (profile.imu == LAST_RESORT) + other))
+            self._notices += [Notice(Kind.OTHER_GYRO, (gyro,))] * had_gyro
         if streams.scale_doubt and not had_doubt:
             felt = f"but {streams.scale_doubt}"
             self._effects.append(Note(f"the vehicle does not feel 1 g by the scale of the profile {own.name}, {felt}"))

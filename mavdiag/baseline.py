@@ -43,6 +43,15 @@ from mavdiag.units import NS_PER_S
 
 ENOUGH_SESSIONS = 5  # from here on another one teaches little of how sessions differ (our choice)
 SESSION_GAP_NS = 3_600 * NS_PER_S  # flights farther apart are of two sessions (our choice)
+LEAST_FLIGHTS, LEAST_S = 2, 120.0  # fewer, or so much flight in all, show too little for grade A (our choice)
+# Of a gate: what some vehicle may fly by [m, share of full thrust, s, s, rad/s] (our choice).
+GATE_LIMITS = {
+    "min_height_m": (-100.0, 1000.0),
+    "min_thrust": (0.0, 1.0),
+    "trim_start_s": (0.0, 600.0),
+    "trim_end_s": (0.0, 600.0),
+    "least_shake": (0.0, 10.0),
+}
 RATE_TOLERANCE = NATIVE_TOLERANCE
 UNREACHED = "cannot be reached"  # said of a threshold
 REMEDY = "make the baseline anew with `mavdiag identify`"
@@ -72,6 +81,15 @@ class Link(Part):
     grid: Grid
     max_gap_s: Annotated[float, Field(gt=0, le=600)]  # that is interpolated
     gate: GateSpec
+
+    @field_validator("gate")
+    @classmethod
+    def _can_be_met(cls, gate: GateSpec) -> GateSpec:
+        for name, (least, most) in GATE_LIMITS.items():
+            value = getattr(gate, name)
+            if value is not None and not least <= value <= most:
+                raise ValueError(f"{name}: {value:g} is not within {least:g} to {most:g}")
+        return gate
 
 
 class Window(Part):
@@ -217,6 +235,12 @@ class Baseline(Part, Tabular):
         return bool(started_ns) and any(abs(started_ns - t_ns) <= SESSION_GAP_NS for t_ns in times)
 
     @property
+    def supported(self) -> bool:
+        """Whether so much flight taught it that grade A can be believed."""
+        logs = self.provenance.logs
+        return len(logs) >= LEAST_FLIGHTS and sum(one.judged_s for one in logs) >= LEAST_S
+
+    @property
     def promised(self) -> tuple[float, float]:
         """Alarms per hour of the monitors that decide, and flights of which one is suspected by any."""
         told = [one.threshold for one in self.monitors]
@@ -323,6 +347,8 @@ class Baseline(Part, Tabular):
         by_maximum = any(entry.threshold.rule is ThresholdRule.MAXIMUM for entry in self.monitors)
         if by_maximum and (missing := GUARANTEE_FLIGHTS - flights) > 0:
             advice.append(f"{missing} more flights, for a 95/95 guarantee by the longest healthy run")
+        elif not self.supported:
+            advice.append(f"more flight: {LEAST_FLIGHTS} flights, and {LEAST_S / 60:g} min in all, at least")
         elif days > 0:
             advice.append(f"healthy flights of {days} more day{'s' if days > 1 else ''} (`mavdiag baseline extend`)")
         if not names & {"rotor_trim", "trim_step"}:

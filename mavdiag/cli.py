@@ -6,7 +6,7 @@ from mavdiag import commandline
 from mavdiag.commands import export, history, identify, inspect, model, report, scan, setup, shim, tools, watch
 from mavdiag.demo import command as demo
 
-app = commandline.application("Find a damaged propeller: learn a healthy airframe, judge its flights by it.", "mavdiag")
+app = commandline.application("Find a damaged propeller: learn a healthy airframe, judge its flights by it.")
 for step in (setup.setup, identify.identify, scan.scan, report.report, export.export):
     app.command()(step)
 app.command("look")(inspect.inspect)

@@ -3,17 +3,20 @@
 0 done, 1 a verdict that asks for action, 2 an error, 3 not judgeable, 4 suspected, 130 stopped by a signal.
 """
 
+import functools
+import inspect
 import os
 import signal
 import sys
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, NoReturn, TextIO
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
 from mavdiag import __version__
 from mavdiag.errors import MavdiagError
@@ -29,39 +32,69 @@ class _ShowByDefault(TyperGroup):
         return super().parse_args(ctx, args if named else ["show", *args])
 
 
-def application(
-    summary: str, name: str | None = None, *, show_by_default: bool = False, completed: bool = False
-) -> typer.Typer:
-    """A command-line application in one style. name: of the program, where it is one and answers --version.
+class _Command(TyperCommand):
+    """No argument may be empty: as a path it would be the present folder."""
 
-    show_by_default: the sub-command `show` is meant where none is named. completed: it has --install-completion.
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        for before, value in pairwise(["", *args]):
+            if not value or (value.startswith("--") and value.endswith("=")):
+                ctx.fail(f"an empty value behind {value or before or 'the command'}: give one, or leave it out")
+        return super().parse_args(ctx, args)
+
+
+class _App(typer.Typer):
+    """Every command of it has --version."""
+
+    def command(self, *args: Any, **how: Any) -> Callable[[Any], Any]:
+        register = super().command(*args, **{"cls": _Command, **how})
+
+        def add(function: Callable[..., None]) -> Callable[..., None]:
+            signature = inspect.signature(function, eval_str=True)
+            version = inspect.Parameter("version", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=_Version)
+
+            @functools.wraps(function)
+            def run_it(*, version: bool, **given: Any) -> None:
+                function(**given)
+
+            run_it.__signature__ = signature.replace(  # type: ignore[attr-defined]  # of a function
+                parameters=[*signature.parameters.values(), version]
+            )
+            register(run_it)
+            return function
+
+        return add
+
+
+def application(summary: str, *, alone: bool = False, show_by_default: bool = False) -> typer.Typer:
+    """A command-line application in one style. alone: it has one command, which is the program.
+
+    show_by_default: the sub-command `show` is meant where none is named.
     """
-    app = typer.Typer(
+    app = _App(
         help=summary,
         cls=_ShowByDefault if show_by_default else None,
-        add_completion=completed or name is not None,
         no_args_is_help=True,
         rich_markup_mode=None,
         pretty_exceptions_enable=False,
     )
-    if name is not None:
+    if not alone:
 
         @app.callback()
-        def root(version: Annotated[bool, version_option(name)] = False) -> None:
+        def root(version: _Version = False) -> None:
             pass
 
     return app
 
 
-def version_option(name: str) -> Any:
-    """The option --version of a program."""
+def _show_version(context: typer.Context, wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"{context.find_root().info_name} {__version__}")
+        raise typer.Exit
 
-    def show(wanted: bool) -> None:
-        if wanted:
-            typer.echo(f"{name} {__version__}")
-            raise typer.Exit
 
-    return typer.Option("--version", callback=show, is_eager=True, help="Print the version and exit.")
+_Version = Annotated[
+    bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version and exit.")
+]
 
 
 def run(app: typer.Typer, name: str) -> NoReturn:

@@ -40,7 +40,7 @@ LAST_ID = 255
 POLL_S = 0.2  # how often the processes are looked at
 _LINKS = "udpout:H:P, udpin:H:P, tcp:H:P, tcpin:H:P or /dev/ttyX,BAUD; repeat it for several links."
 
-app = commandline.application("Fly an emulated multirotor with propeller faults over MAVLink.", "sitl-plant")
+app = commandline.application("Fly an emulated multirotor with propeller faults over MAVLink.")
 for command in (campaign, serve_ardupilot, serve_px4, serve_hil):
     app.command()(command)
 

@@ -90,6 +90,20 @@ def detect_layout(
     return found
 
 
+def wiring(block: Block, layout: RotorLayout) -> FloatArray:
+    """(2,) cosines of what roll and pitch do to the outputs of the rotors with what the layout says; NaN if not shown.
+
+    Another order of the outputs brings one of them down to 0 or below, for a quadrotor; 0 where only others move.
+    """
+    motors, moving = range(layout.rotors), moving_outputs([block])
+    if len(moving) >= FEWEST and not set(moving) & set(motors):
+        return np.zeros(2)
+    fit = _fit([block], motors) if moving else None
+    if fit is None or fit.explained < MIN_EXPLAINED:
+        return np.full(2, np.nan)
+    return np.where(fit.F[:2] >= MIN_F, _cosines(fit, layout)[:2], np.nan)
+
+
 def contradicts(finding: LayoutFinding, layout: RotorLayout) -> str:
     """Say in one sentence why flights speak against a layout that was told; empty if they do not."""
     likeness = dict(finding.likeness)
@@ -261,10 +275,13 @@ def _named(candidates: Sequence[RotorLayout], fit: _Fit) -> LayoutFinding:
     return LayoutFinding(ranked[0][1], f"found from outputs and {fit.driver} ({scores}){unseen}", likeness)
 
 
+def _cosines(fit: _Fit, layout: RotorLayout) -> FloatArray:
+    sizes = np.linalg.norm(fit.effects, axis=1) * np.linalg.norm(layout.mixing, axis=0)
+    return np.asarray(np.einsum("kr,rk->k", fit.effects, layout.mixing) / np.maximum(sizes, TINY))
+
+
 def _likeness(fit: _Fit, layout: RotorLayout) -> float:
-    size, B = np.linalg.norm(fit.effects, axis=1), layout.mixing
-    cosines = np.einsum("kr,rk->k", fit.effects, B) / np.maximum(size * np.linalg.norm(B, axis=0), TINY)
-    excited = fit.F >= MIN_F
+    size, cosines, excited = np.linalg.norm(fit.effects, axis=1), _cosines(fit, layout), fit.F >= MIN_F
     lowest = float(cosines[excited].min())
     return lowest if lowest < 0 else float(np.average(cosines[excited], weights=np.square(size[excited])))
 

@@ -3,7 +3,8 @@
 A fingerprint is of each of `TRAITS` the mean over healthy flights and the spread between them. A damaged rotor is no
 other vehicle, so only that counts which damage to one rotor does not do. It shifts the trim along the rotor's own
 pattern: the best rise of one rotor is taken out of the shift, unless it is less than 0.025 and vibration is no higher.
-It raises vibration and costs thrust: only lower noise and a lower throttle count. Only calm seconds count.
+It raises vibration and costs thrust: only lower noise and a lower throttle count. Only calm seconds count. Which
+outputs move with roll and pitch tells motors on other outputs, whatever else is alike.
 """
 
 import itertools
@@ -16,6 +17,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from mavdiag.airframe.airframe import UNNAMED
+from mavdiag.airframe.detect import wiring
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.airframe.trim import LEVEL_RATIO, MIN_OUTPUT, rises, shown_trim
 from mavdiag.errors import InputError
@@ -25,8 +27,8 @@ from mavdiag.rows.windows import means_from, window_all, window_mean, window_row
 from mavdiag.telemetry import BoolArray, FloatArray, Signal
 
 FIRST_S = 20.0  # of judged flight that is compared (our choice)
-MOTORS_S = 1.0  # of judged flight, which shows how many motors there are (our choice)
-BORDERS_S = (MOTORS_S, 4.0, 8.0, 12.0, 16.0, FIRST_S)  # of its parts: only the latest one is kept (our choice)
+MOTORS_S = 4.5  # of judged flight, which shows the motors, by their number and outputs, before a trim (our choice)
+BORDERS_S = (MOTORS_S, 12.0, FIRST_S)  # of its parts: only the rows of the latest one are kept (our choice)
 PART_S = 10.0  # of a learnt flight, by which its spread is measured: half of that, so that 30 s have three (our choice)
 MOST_PARTS = 12  # of a flight: enough to see what it varies by (our choice)
 SIGNIFICANT = 5.0  # spreads (our choice)
@@ -64,9 +66,13 @@ class Trait:
             return f"{self.name} {math.exp(seen - learnt):.2g} times the learnt"
         if self.name == "motors":
             return f"{seen:.0f} motors (learnt {learnt:.0f})"
+        if self.name in WIRED:
+            return f"{self.name} wired otherwise (likeness {seen:.2f}, learnt {learnt:.2f})"
         return f"{self.name} {seen:+.3f} (learnt {learnt:+.3f} +- {spread:.3f})"
 
 
+WIRED = ("roll outputs", "pitch outputs")
+MOTORS = ("motors", *WIRED)
 _1_5, _2, _20 = map(math.log, (1.5, 2, 20))
 
 #: What `traits` gives, in this order; the limits are ours, held against recorded sessions, cuts, tape and weights.
@@ -81,6 +87,8 @@ TRAITS = (
     *(Trait(f"hover {what}", 0.03, math.log(1.15), math.log(1.4), _1_5) for what in ("throttle", "output")),
     # outputs that move like motors, whatever the layout; one that hangs follows no command
     Trait("motors", 0.1, OTHER_MOTORS, OTHER_MOTORS, far_high=OTHER_MOTORS, log=False),
+    # how far roll and pitch move the outputs as the layout says, -1..1; the gravest emulated damage takes 0.3 of it
+    *(Trait(name, 0.05, far_low=0.65, log=False) for name in WIRED),
 )
 TRIM, NOISE = slice(0, 3), slice(3, 9)
 Bends: TypeAlias = tuple[FloatArray, FloatArray]  # of `_bends`
@@ -184,6 +192,7 @@ class _Shown(NamedTuple):
     thrust: FloatArray  # of calm rows
     levels: FloatArray  # the motors' mean outputs in them, where no thrust and the layout are known
     outputs: FloatArray  # (outputs, n) that are known
+    wired: FloatArray  # (2,) as of `wiring`
 
 
 class Beginning:
@@ -217,8 +226,11 @@ class Beginning:
         return None
 
     def likeness(self, *, motors: bool = False) -> Likeness:
-        """How what has come compares; where it shows none of the traits it is alike. motors: only they are counted."""
-        figures = (one for one in self._learnt.figures if one.name == "motors" or not motors)
+        """How what has come compares; where it shows none of the traits it is alike.
+
+        motors: only these count: how many there are, and on which outputs.
+        """
+        figures = (one for one in self._learnt.figures if one.name in MOTORS or not motors)
         return _compared(_figures(self._seen()), {one.name: (one.mean, one.spread) for one in figures}, self._layout)
 
     def _keep(self, rows: Rows) -> None:
@@ -319,8 +331,9 @@ def traits(blocks: Iterable[Block], layout: RotorLayout | None) -> FloatArray:
 
 def _shown(block: Block, layout: RotorLayout | None) -> _Shown:
     calm, window, trim = _calm(block), window_rows(TRIM_S, block.dt_s), np.empty((0, 3))
-    levels, width = np.empty(0), block.actuator.shape[1]
+    levels, wired, width = np.empty(0), np.full(2, np.nan), block.actuator.shape[1]
     if layout is not None:
+        wired = wiring(block, layout)
         values, known = shown_trim(block, layout)
         starts = np.flatnonzero(window_all(known & calm, window))[:: max(1, window // 4)]
         trim = means_from(values.T, starts, window).T
@@ -329,11 +342,12 @@ def _shown(block: Block, layout: RotorLayout | None) -> _Shown:
     gyro, felt = (_bends(values.T, block.valid, block.dt_s) for values in (block.rate, block.force))
     own = slice(None if layout is None else max(layout.rotors, LEAST_OUTPUTS))  # what judging takes (`chain.front_of`)
     outputs = np.compress(block.known(Signal.ACTUATOR, own) & block.valid, block.actuator.T[own], axis=1)
-    return _Shown(trim, gyro, felt, block.thrust[calm], levels, outputs)
+    return _Shown(trim, gyro, felt, block.thrust[calm], levels, outputs, wired)
 
 
 def _figures(shown: Sequence[_Shown]) -> FloatArray:
     trim = np.concatenate([np.empty((0, 3)), *(one.trim for one in shown)])
+    wired = np.array([one.wired for one in shown]).reshape(-1, 2).T
     return np.array(
         [
             *(np.median(trim, axis=0) if len(trim) else np.full(3, np.nan)),
@@ -342,6 +356,7 @@ def _figures(shown: Sequence[_Shown]) -> FloatArray:
             _level([one.thrust for one in shown]),
             _level([one.levels for one in shown]),
             _motors([one.outputs for one in shown]),
+            *(np.mean(known) if len(known := cosines[np.isfinite(cosines)]) else math.nan for cosines in wired),
         ]
     )
 

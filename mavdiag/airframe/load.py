@@ -45,7 +45,7 @@ _Rotor: TypeAlias = Annotated[
 
 
 class _Gate(_Table):
-    min_height_m: float | None = None
+    min_height_m: Annotated[float, Field(ge=-100, le=1000)] | None = None
     min_thrust: Annotated[float, Field(ge=0, le=1)] | None = None
     need_armed: bool = True
     trim_start_s: Annotated[float, Field(ge=0, le=600)] = 3.0

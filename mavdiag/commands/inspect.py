@@ -42,7 +42,9 @@ def inspect(
     sources: Annotated[
         list[str], typer.Argument(metavar="LOG|DIR|ENDPOINT", help="Logs, folders, patterns; or one link.")
     ],
-    duration: Annotated[float, Option(metavar="S", help="How long to listen to an endpoint.")] = 5.0,
+    duration: Annotated[
+        float, Option(min=0.1, max=3600.0, metavar="S", help="How long to listen to an endpoint.")
+    ] = 5.0,
     ask: Annotated[bool, Option("--ask", help="Ask the vehicle for missing streams, and for its rotors.")] = False,
     baseline: Annotated[Path | None, Option(metavar="FILE", help="Show the monitors of this baseline.")] = None,
     columns: opt.Columns = None,

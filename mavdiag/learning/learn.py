@@ -197,7 +197,7 @@ def _assessed(baseline: Baseline, flights: Sequence[LearntFlight]) -> Baseline:
             "not_judgeable": refused,
             "least_damage": least,
             "weak": weak,
-            "grade": grade_of(least, weak=bool(weak), blind=blind),
+            "grade": grade_of(least, weak=bool(weak), blind=blind, supported=baseline.supported),
         }
     )
 

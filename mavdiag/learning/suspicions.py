@@ -285,12 +285,13 @@ def least_damage(found: Sequence[Course], limits: Mapping[str, float], airframe:
     )
 
 
-def grade_of(least: LeastDamage, *, weak: bool, blind: Sequence[str] = ()) -> Grade:
+def grade_of(least: LeastDamage, *, weak: bool, blind: Sequence[str] = (), supported: bool = True) -> Grade:
     """A: a rotor's loss of 10 % or a vibration of 3 m/s^2 is noticed; B: 20 %, 10 m/s^2; C: a third, 30 m/s^2; else D.
 
     The better of the two counts, and is B at most where the other is not seen at all. C where the link shows neither:
     such a baseline judges by motion alone. weak: its flights speak against it, which is D. blind: monitors that were
     fitted and cannot reach their threshold; where no monitor of the trim can, the trim scattered too much for any, D.
+    supported: whether enough flight taught it; else it is B at most.
     """
     sizes = [(max(least.thrust_loss), LOSS_LIMITS)] if least.thrust_loss else []
     sizes += [] if least.vibration_m_s2 is None else [(least.vibration_m_s2, VIBRATION_LIMITS_M_S2)]
@@ -299,7 +300,7 @@ def grade_of(least: LeastDamage, *, weak: bool, blind: Sequence[str] = ()) -> Gr
         return "D"
     if not seen:
         return "C"
-    lacking = len(seen) == 1 or max(seen) == len(GRADES) - 1
+    lacking = len(seen) == 1 or not supported or max(seen) == len(GRADES) - 1
     return GRADES[max(min(seen), 1) if lacking else min(seen)]
 
 

@@ -2,7 +2,8 @@
 
 Counters are milliseconds or microseconds since boot, in 32 bits (a turn is 49.7 days or 71.6 minutes) or 64, or
 microseconds since 1970. The receiver's clock decides between a wrap, a reboot and a leap; it never adds its jitter to a
-stamp. What is out of line is left out until others follow it.
+stamp. What is out of line is left out until others follow it. A clock that is set back repeats stamps; once it passes
+the highest one again the receiver's clock shows how much time was lost, and what follows is a piece of its own.
 
 Clocks. The first stamped message's clock is the timeline; the others are laid over it. A message stamped c arrives at
 h = c + origin + delay, delay >= 0: the least h - c of a window, the clock's lead, is its origin to within the least
@@ -35,6 +36,7 @@ AGREEING = 3  # samples in a row that must agree on a new clock before it is fol
 DRIFT_SHIFT = 11  # the line gives way by one part in 2^11 of the time, ten times the drift of a plain quartz
 GONE_NS = 10 * NS_PER_S  # how long the old clock must be silent before a clock that no reboot explains takes over
 UPTIME_SLACK_NS = 10 * NS_PER_S  # how much older than that silence a vehicle may be that has rebooted in it
+BACK_NS = 40 * NS_PER_MS  # time that is lost where a clock is set back: rows bridge less, and reordering takes less
 AGREED_STEP_NS = 2 * NS_PER_MS  # by at least so much: messages of one instant are rounded differently
 REBOOT_GAP_NS = NS_PER_S  # least time that a reboot takes on the timeline, so that nothing is joined across it
 WINDOW = 10  # seconds over which the least lead is taken: 1000 samples at 100 Hz, and 0.5 ms of drift at 50 ppm
@@ -47,7 +49,7 @@ STEPPED = 3  # seconds in a row that must show it
 EPOCH_NS = 1_000_000_000 * NS_PER_S  # stamps from here on (year 2001) are unix time, earlier ones time since boot
 HIGHEST_NS = (1 << 62) - 1  # year 2116: garbage beyond is held here, so that a stamp and an offset fit 64 bits
 NEVER = -(1 << 62)  # stands for "no time known" [ns]
-REBOOT = NEVER - 1  # stands for "the vehicle has started anew"
+REBOOT = NEVER - 1  # stands for "the vehicle has started anew", or its clock was set back
 MESSAGES_MAX = 32  # that are stamped, of one vehicle: there are 18
 SECONDS = WINDOW + 3  # of leads that there is room for: a window with both its ends, and one more
 _DAY_NS = 86_400 * NS_PER_S
@@ -79,8 +81,9 @@ def _integers(names: str, *others: tuple[str, Any, Any]) -> np.dtype[np.void]:
 
 # Where one message's counter stands: the message plus one, 0 for none; whether it has begun; highest count so far, with
 # its turns; when it was last received in line; the most that it was ahead of the receiver's clock, which drift takes
-# back slowly; and the other clock that its latest samples show, with how many in a row agree on it.
-_READING = _integers("msgid used count host_ns line_ns rival_ns rival_host_ns rivals")
+# back slowly; the other clock that its latest samples show, with how many in a row agree on it; and how many samples
+# since the highest count were behind it, one after the other in their order, the last of them, and when it was reached.
+_READING = _integers("msgid used count host_ns line_ns rival_ns rival_host_ns rivals behind behind_ns high_host_ns")
 # How far the receiver's clock leads one of the vehicle's: whether it was seen, in which second first, with which lead,
 # and in which last; and the latest seconds in which it was seen, each at its place modulo `SECONDS`, with their least
 # leads.
@@ -142,7 +145,7 @@ class VehicleTime:
         return None
 
 
-_IN_LINE, _LEFT_OUT, _BROKEN_OFF = 0, 1, 2  # what a stamp is
+_IN_LINE, _LEFT_OUT, _BROKEN_OFF, _SET_BACK = 0, 1, 2, 3  # what a stamp is
 
 
 @inline
@@ -174,9 +177,14 @@ def stamp(
         if not _begin(reading, leads, tick, turn, ambiguous, raw, count > raw, now_ns):
             return NEVER
         sort, clock_ns = _unwrapped(mem, reading, tick, turn, raw, now_ns)
+    clock = _clock_of(tick, ambiguous, clock_ns)
+    if sort == _SET_BACK and clock != mem.reference and not (offsets[clock].known and offsets[clock].shared):
+        sort = _IN_LINE  # a clock of its own: it is laid anew over the others
     if sort == _IN_LINE:
-        return int(_placed(mem, leads, offsets, clock_ns, now_ns, _clock_of(tick, ambiguous, clock_ns)))
-    if sort == _BROKEN_OFF and _rebooted(mem, reading, raw * tick, now_ns):
+        return int(_placed(mem, leads, offsets, clock_ns, now_ns, clock))
+    reboots = sort == _BROKEN_OFF and _rebooted(mem, reading, raw * tick, now_ns)
+    if reboots or sort == _SET_BACK:
+        mem.reboots += int(reboots)
         _start_anew(mem, readings, leads, offsets)
         return REBOOT
     return NEVER
@@ -185,7 +193,6 @@ def stamp(
 @jit
 def _start_anew(mem: Fields, readings: Records, leads: Records, offsets: Records) -> None:
     mem.reference, mem.base_ns, mem.rivals = -1, 0, 0
-    mem.reboots += 1
     mem.seen_ns[:], mem.high_ns[:] = 0, 0
     for reading in readings:
         reading.used = 0
@@ -221,7 +228,7 @@ def _begin(
         own = leads[_clock_of(tick, ambiguous, raw * tick)]
         if own.seen and (beyond or raw * tick - (now_ns - _least(own)) > LATE_NS):
             first = max(0, now_ns - _least(own)) // tick
-    reading.used, reading.count, reading.host_ns, reading.rivals = 1, first, now_ns, 0
+    reading.used, reading.count, reading.host_ns, reading.rivals, reading.behind = 1, first, now_ns, 0, 0
     reading.line_ns = min(first * tick, HIGHEST_NS) - now_ns + (now_ns >> DRIFT_SHIFT)
     return True
 
@@ -239,6 +246,15 @@ def _unwrapped(mem: Fields, reading: Fields, tick: int, turn: int, raw: int, now
     clock_ns = (reading.count + step) * tick
     if (clock_ns >= EPOCH_NS) != (reading.count * tick >= EPOCH_NS):
         return _BROKEN_OFF, clock_ns
+    if step < 0:
+        in_order = reading.behind == 0 or clock_ns > reading.behind_ns
+        reading.high_host_ns = reading.host_ns if reading.behind == 0 else reading.high_host_ns
+        reading.behind, reading.behind_ns = reading.behind + 1 if in_order else 1, clock_ns
+    elif step > 0:
+        lost_ns, repeated = now_ns - reading.high_host_ns - step * tick, reading.behind >= AGREEING
+        reading.behind = 0
+        if repeated and lost_ns > BACK_NS and step * tick < LEAP_NS:
+            return _SET_BACK, clock_ns
     ahead_ns = clock_ns - now_ns + (now_ns >> DRIFT_SHIFT)
     beyond_ns = step * tick - elapsed_ns  # of what the receiver's clock explains
     if beyond_ns > LEAP_NS and ahead_ns - reading.line_ns > LEAP_NS:

@@ -23,16 +23,18 @@ from mavdiag.link.codec import (
     field_index,
     frames_joined,
     frames_of,
+    layout_of,
 )
 from mavdiag.link.datagrams import Datagrams
 from mavdiag.link.messages import Autopilot, Component, MavType, MessageId, ModeFlag
 from mavdiag.link.parameters import ASKING as PARAMETERS_ASKED
 from mavdiag.link.parameters import parameters_in
 from mavdiag.link.profiles import IMU_MESSAGES, LAST_RESORT, PROFILES, Evidence, Profile, detect_profile, with_imu
-from mavdiag.link.samples import SampleDecoder, SampleState, warm
+from mavdiag.link.samples import SOURCES, SampleDecoder, SampleState, warm
+from mavdiag.link.samples import Source as Measured
 from mavdiag.link.sequence import Intruder, LinkCount, Source
 from mavdiag.link.signing import Signing
-from mavdiag.telemetry import Telemetry
+from mavdiag.telemetry import Signal, Telemetry
 from mavdiag.units import NS_PER_S
 
 WATCH_S = 1.0  # how long a new vehicle's frames are watched for its profile (our choice)
@@ -46,6 +48,7 @@ CLEAR_FRAMES = 512  # of a vehicle that are enough to see its profile (our choic
 LAST_RESORT_S = 30.0  # without any IMU message, before the rates of ATTITUDE are read instead (our choice)
 USEFUL_FRAMES = 20  # of an IMU message, before it is taken at once (our choice)
 CHOICE_S = 1.0  # for which the choice stays open otherwise, from the first IMU message of any kind on (our choice)
+STOPPED_S = 3.0  # without a sample of the gyro, while other IMU messages come, before one of those is read (our choice)
 REQUESTS_MAX = 16  # requests to one vehicle's computer at a time: a flood is not answered (our choice)
 MOST_PARAMETERS = 8192  # names that are kept of one vehicle, so that made-up ones cost little (our choice)
 
@@ -67,6 +70,8 @@ _ANSWERS = {MessageId.COMMAND_ACK, MessageId.PARAM_VALUE, MessageId.TIMESYNC, Me
 _TALK = ASKING | STICKS.keys() | _ANSWERS | {MessageId.HEARTBEAT}
 _TALKS = np.isin(MSGIDS, list(_TALK))  # by row of a message
 
+#: The IMU messages that number their sensors.
+_NUMBERED = {one: layout_of(one).record_dtype(("id", 1)) for one in (MessageId.RAW_IMU, MessageId.HIGHRES_IMU)}
 _UID2 = field_index(MessageId.AUTOPILOT_VERSION, "uid2")
 
 
@@ -160,16 +165,18 @@ def uid_in(frames: Iterable[Frame]) -> str:
 class VehicleStream:
     """One vehicle's frames to telemetry, on one clock.
 
-    profile: how it sends; while no gyro sample has come, its IMU message is replaced by another that does come.
+    profile: how it sends; its IMU message is replaced by another that does come where no gyro sample comes of it.
+    sensor: number of the one whose rows of that message are read; 0 but where only another one's come.
     mav_type: MAV_TYPE, if known. uid: as in `uid_in`. parameters: of its autopilot that passed by so far, by name.
     """
 
     def __init__(self, profile: Profile, mav_type: int | None = None) -> None:
-        self.mav_type, self.uid = mav_type, ""
+        self.mav_type, self.uid, self.sensor = mav_type, "", 0
         self._decoder, self.state = SampleDecoder(profile), SampleState()
         self._own, self._since_ns = profile, 0
         self._imu = NO_FRAMES.rows
-        self._settled = False  # whether the IMU message is chosen for good
+        self._settled = False  # whether the IMU message is chosen
+        self._mute_ns = 0  # since when other IMU messages come, but no gyro sample of the chosen one; 0 if it does
         self.parameters: Mapping[str, float] = {}
 
     @property
@@ -186,7 +193,25 @@ class VehicleStream:
             merged = {**self.parameters, **told}
             self.parameters = merged if len(merged) <= MOST_PARAMETERS else self.parameters
             self.state.take_parameters(self.parameters)
-        return self._decoder.step(self.state, frames)
+        telemetry = self._decoder.step(self.state, frames)
+        if telemetry.get(Signal.BODY_RATE) is not None:
+            self._mute_ns = 0
+        elif self._settled and len(others := frames.of(*IMU_MESSAGES, compid=AUTOPILOT)):
+            self._choose_again(others)
+        return telemetry
+
+    def _choose_again(self, others: Frames) -> None:
+        """Take another message, or another sensor's rows of the same, once the gyro was missing for `STOPPED_S`."""
+        first_ns, last_ns = others.rows["host_ns"][[0, -1]].tolist()
+        if not self._mute_ns:
+            self._mute_ns, self._imu = first_ns, others.rows[:0]
+        self._imu = np.concatenate((self._imu, others.rows))[-CLEAR_FRAMES:]
+        chosen = with_imu(self._own, Frames(others.data, self._imu).counts())
+        own = others.of(chosen.imu)
+        if last_ns - self._mute_ns > STOPPED_S * NS_PER_S and len(own):
+            numbers = own.records(_NUMBERED[chosen.imu])["id"].tolist() if chosen.imu in _NUMBERED else [0]
+            self.sensor, self._mute_ns = min(numbers), 0
+            self._decoder = SampleDecoder(chosen, (_of_sensor(row, self.sensor) for row in SOURCES))
 
     def _choose_imu(self, frames: Frames) -> None:
         self._imu = np.concatenate((self._imu, frames.of(*IMU_MESSAGES, compid=AUTOPILOT).rows))[-CLEAR_FRAMES:]
@@ -202,6 +227,12 @@ class VehicleStream:
             self._decoder = SampleDecoder(chosen)
         told_s = int(times_ns[-1] - times_ns[0]) / NS_PER_S if counts else 0.0
         self._settled = counts[chosen.imu] >= USEFUL_FRAMES or (counts[chosen.imu] > 0 and told_s >= CHOICE_S)
+
+
+def _of_sensor(row: Measured, number: int) -> Measured:
+    """A row of the table, of an IMU message that numbers its sensors for this one, once the first is silent."""
+    parts = (replace(part, unless=("id", 0xFF & ~number)) for part in row.parts)
+    return replace(row, parts=tuple(parts)) if number and row.message in _NUMBERED else row
 
 
 @dataclass(slots=True)
@@ -260,6 +291,7 @@ class Received:
     acks: tuple[Ack, ...] = ()  # its autopilot's answers to our commands
     parameters: Mapping[str, float] = field(default_factory=dict)  # of its autopilot that passed by so far, by name
     imu: MessageId | None = None  # the message that its gyro is read from; None for the profile's
+    sensor: int = 0  # number of the one that it is of
     mode: int | None = None  # custom_mode of its latest heartbeat; None if none came
     sticks: Mapping[tuple[int, str], int] = field(default_factory=dict)  # a pilot's; see `sticks_in`
     asked: tuple[Frame, ...] = ()  # what others ask of its on-board computer
@@ -391,7 +423,7 @@ class LinkDecoder:
         talk = tuple(frames.where(talks)) if np.count_nonzero(talks) else ()
         alive = bool(np.count_nonzero(frames.rows["sender"] & 0xFF == AUTOPILOT))
         telemetry = stream.step(frames, talk)
-        told = (acks_in(talk), stream.parameters, stream.profile.imu, mode_in(talk), sticks_in(talk))
+        told = (acks_in(talk), stream.parameters, stream.profile.imu, stream.sensor, mode_in(talk), sticks_in(talk))
         return Received(telemetry, alive, stream.state.timeline.reboots, *told, tuple(unread.asked), talk)
 
     def urgent(self) -> set[int]:

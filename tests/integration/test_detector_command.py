@@ -111,6 +111,7 @@ def test_check_tells_what_a_start_would_do_and_opens_nothing(program: Any, basel
     assert "made, qdrone2 at 100 Hz, 1 monitors" in out
     assert "not now (/dev/absent,57600: no such device" in out
     assert sorted(tmp_path.iterdir()) == before
+    assert "not kept: every start learns anew" in program("detector.__main__", "--check", "--learn", "10")[1]
 
 
 @pytest.mark.realtime
@@ -190,7 +191,11 @@ def test_a_dead_link_behind_does_not_hold_up_the_vehicles(baseline: Path) -> Non
         ("lern = 30", "unknown key 'lern'; known are learn, negotiate, "),
         ("learn = -1", "learn: Input should be greater than 0"),
         ("learn = 10\nvehicle = 256", "vehicle: "),
-        ("learn = 10", "learn needs save: a FILE that keeps what is learned"),
+        ("learn = 3601", "learn: Input should be less than or equal to 3600"),
+        ("learn = 9\nlink_lost_s = 0.001", "link_lost_s: Input should be greater than or equal to 1"),
+        ("baseline = ''", "baseline: is empty; name one, or leave it out"),
+        ("learn = 9\nmetrics = '9100'\nweb = 'localhost:9100'", "--web localhost:9100 listen on one port"),
+        ("learn = 9\nforward = ['udpin:0.0.0.0:14550']", "udpin:0.0.0.0:14550 listen on one port"),
         ("learn = 10\nask_hz = 1e7", "ask_hz: Input should be less than or equal to 10000"),
         ("learn = 10\nask_hz = 30.0", "ask_hz 30 is below min_rate_hz 45"),
         ("learn = [", "not TOML"),

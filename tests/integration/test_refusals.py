@@ -13,6 +13,7 @@ from types import SimpleNamespace
 import pytest
 from made_archive import archive_baseline, made
 
+from mavdiag import __version__
 from mavdiag.__main__ import start
 
 PROGRAMS = {"mavdiag": "mavdiag.cli", "mavdiag-detector": "detector.__main__", "sitl-plant": "sitl_plant.__main__"}
@@ -81,7 +82,9 @@ REFUSED = [
     (f"{HISTORY} /etc/passwd", "file is not a database"),
     (f"{HISTORY} /tmp", "/tmp: is a folder"),
     (f"{HISTORY} mysql://a@b/c", "an SQLite file or a postgresql"),
-    (f"{HISTORY} ''", "name the history"),
+    (f"{HISTORY} ''", "an empty value behind --database"),
+    ("mavdiag look a.tlog ''", "an empty value behind a.tlog"),
+    ("mavdiag identify --output= a.tlog", "an empty value behind --output="),
     ("mavdiag model absent.tlog", "absent.tlog: no such file"),
     ("mavdiag model t.csv", "CSV with --columns MAP.toml where a command has it"),
     ("mavdiag model track a.tlog --every 0", "--every and --memory must be longer"),
@@ -149,6 +152,13 @@ def test_what_cannot_be_done_is_one_line_and_leaves_nothing(
     assert words in line
     assert "secret" not in line
     assert sorted(place.rglob("*")) == before
+
+
+@pytest.mark.parametrize("command", ["mavdiag scan", "mavdiag history list", "mavdiag model", *PROGRAMS])
+def test_every_command_tells_the_version(program: Callable[..., tuple[int, str, str]], command: str) -> None:
+    name, *words = command.split()
+    code, out, _ = program(PROGRAMS[name], *words, "--version")
+    assert (code, out.split()[-1]) == (0, __version__)
 
 
 @pytest.mark.parametrize(("end", "code"), [(">/dev/full", 2), (">&- 2>&-", 0), ("no-such-file 2>/dev/full", 2)])

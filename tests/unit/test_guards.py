@@ -221,19 +221,27 @@ def test_only_what_no_damage_does_is_another_vehicle(flight: Telemetry, outcome:
     assert "the baseline's" in found.sentence("unnamed") or outcome is Outcome.ALIKE
 
 
+def sent(change: Change) -> Telemetry:
+    """A flight whose outputs are sent in another way."""
+    flight = flying(3000, 7)
+    outputs = flight.need(Signal.ACTUATOR)
+    other = dataclasses.replace(outputs, values=change(outputs.values))
+    return Telemetry(tuple(other if one is outputs else one for one in flight.series))
+
+
 def test_more_motors_are_another_vehicle() -> None:
-    six = flying(3000, 7)
-    outputs = six.need(Signal.ACTUATOR)
-
-    def sent(*columns: FloatArray) -> Telemetry:
-        wider = dataclasses.replace(outputs, values=np.concatenate((outputs.values, *columns), axis=1))
-        return Telemetry(tuple(wider if one is outputs else one for one in six.series))
-
-    found = compared(sent(outputs.values[:, :2]))
+    found = compared(sent(lambda outputs: np.hstack((outputs, outputs[:, :2]))))
     assert found.differing == ("6 motors (learnt 4)",)
     assert found.outcome is Outcome.FAR
-    behind = sent(0.0 * outputs.values, outputs.values[:, :3])  # on outputs that judging does not take
+    behind = sent(lambda outputs: np.hstack((outputs, 0.0 * outputs, outputs[:, :3])))  # that judging does not take
     assert compared(behind).outcome is Outcome.ALIKE
+
+
+@pytest.mark.parametrize("order", [(3, 2, 1, 0), (1, 0, 2, 3), (3, 1, 2, 0), (4, 5, 6, 7)])
+def test_motors_on_other_outputs_are_another_vehicle_and_no_fault(order: tuple[int, ...]) -> None:
+    """Two that changed places were told as a fault of one of them; no damage turns what the outputs follow."""
+    found = judge(logged(sent(lambda outputs: outputs @ np.eye(8)[list(order)])), whole())
+    assert (found.verdict, "outputs wired otherwise" in found.reason) == (Verdict.NOT_JUDGEABLE, True)
 
 
 @pytest.mark.parametrize(

@@ -125,7 +125,7 @@ X = Airframe(name="made", layout=layout_named("x"))
 def test_a_baseline_of_another_profile_or_vehicle_is_refused_by_name(profile: str, reason: str, text: str) -> None:
     baseline = baseline_for("qdrone2").model_copy(update={"fingerprint": TWIN, "airframe": X})
     story = Story(SessionSpec(PROFILES[profile], baseline))
-    said = [effect for effect in story.fly(4.0, outputs=True) if isinstance(effect, SendText)]
+    said = [effect for effect in story.fly(8.0, outputs=True) if isinstance(effect, SendText)]
     assert said[-1] == SendText(Severity.WARNING, f"PROP OFF: {text}")
     assert story.state.reason.startswith(reason)
     assert (story.states[-1], story.session.working) == (State.FAULTED, False)
@@ -179,6 +179,8 @@ def test_l2_what_the_optional_streams_lack_is_told_and_hinders_nothing() -> None
     assert notes.count(f"{trim} not judged: no actuator outputs") == 1
     story.fly(12.0, outputs=True)
     assert story.state.reason == "monitoring"
+    story.give(Received(alive=True, imu=MessageId.SCALED_IMU2))
+    assert story.texts[-1] == "PROP another gyro: SCALED_IMU2"
 
 
 def test_l9_learning_that_fails_keeps_its_data_and_goes_on_with_more() -> None:

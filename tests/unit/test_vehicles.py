@@ -58,14 +58,14 @@ class Sender:
     def heartbeat(self, kind: MavType = MavType.QUADROTOR) -> bytes:
         return self.encoder.encode(MessageId.HEARTBEAT, kind, self._autopilot, ModeFlag.SAFETY_ARMED, 0, 4, 3)
 
-    def chunks(self, n: int, imu: int = MessageId.RAW_IMU) -> list[tuple[bytes, int]]:
+    def chunks(self, n: int, imu: int = MessageId.RAW_IMU, *more: int) -> list[tuple[bytes, int]]:
         """A datagram for each of the next n samples."""
         found = []
         for k in range(self.k, self.k + n):
             data = self.heartbeat() if k % 100 == 0 else b""
             stamp = 1000 * (5000 + 10 * k) if imu in (MessageId.RAW_IMU, MessageId.HIGHRES_IMU) else 5000 + 10 * k
             data += self.encoder.encode(MessageId.ATTITUDE_TARGET, 5000 + 10 * k, 0, LEVEL, 0, 0, 0, 0.5)
-            data += self.encoder.encode(imu, stamp, 0, 0, -self._weight, 1, 2, 3)
+            data += self.encoder.encode(imu, stamp, 0, 0, -self._weight, 1, 2, 3, *more)
             found.append((data, (k + 1) * S // 100))
         self.k += n
         return found
@@ -174,6 +174,16 @@ def test_the_rates_of_attitude_are_read_only_where_no_imu_message_comes_for_long
     sender.k = 4000
     assert run(decoder, [(data, at_ns) for data, at_ns in sender.chunks(50)]) == 50
     assert message_name(stream.profile.imu) == "RAW_IMU"
+
+
+@pytest.mark.parametrize(("imu", "more"), [(MessageId.SCALED_IMU2, ()), (MessageId.RAW_IMU, (0, 0, 0, 1))])
+def test_another_gyro_is_read_once_the_first_has_stopped(imu: MessageId, more: tuple[int, ...]) -> None:
+    """Of another message, or another sensor of the same: the detector had no gyro for the rest of the flight."""
+    decoder, sender = LinkDecoder(), Sender()
+    assert run(decoder, sender.chunks(300)) == 300
+    assert run(decoder, sender.chunks(300, imu, *more)) == 0
+    assert run(decoder, sender.chunks(200, imu, *more)) > 190
+    assert (decoder.vehicles[1].profile.imu, decoder.vehicles[1].sensor) == (imu, sum(more))
 
 
 def told(encoder: Encoder, name: str, number: float, kind: int = REAL32) -> bytes:

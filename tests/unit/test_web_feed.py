@@ -15,7 +15,7 @@ from made_session import Story, baseline_for
 from made_vehicle import START_NS, Bench, MadeVehicle, record
 
 from detector.config import SessionSettings, Settings, load_settings
-from detector.replay import Judged, Player
+from detector.replay import Judged, Player, serve
 from detector.values import SessionSpec, VehicleFigures
 from detector.web.access import Access, Answer
 from detector.web.board import BATCH, FIRST, KEPT, Board, Reader, parse_last
@@ -352,6 +352,8 @@ def test_a_token_file_keeps_the_rules_of_a_key_file(tmp_path: Path, content: str
         read_token(path)
     assert words in str(error.value)
     assert len(str(error.value).splitlines()) == 1
+    with pytest.raises(UsageError, match="malformed web address"):  # before the log is read
+        serve(tmp_path / "absent.tlog", tmp_path / "absent.json", "x")
 
 
 @pytest.fixture(scope="module")
