@@ -321,7 +321,7 @@ _BUILDERS: Mapping[int, Callable[[_Due], Columns]] = {
     },
     MessageId.SYS_STATUS: lambda due: {
         **{f"onboard_control_sensors_{state}": HEALTH for state in ("present", "enabled", "health")},
-        "voltage_battery": integers(1e3 * due.volts, 16),
+        "voltage_battery": integers(1e3 * due.volts, 17),
         "current_battery": -1,  # not measured
         "battery_remaining": due.remaining,
     },

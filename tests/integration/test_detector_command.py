@@ -89,12 +89,6 @@ def baseline(tmp_path: Path) -> Path:
     return path
 
 
-def free_port() -> int:
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        return int(one.getsockname()[1])
-
-
 def test_check_tells_what_a_start_would_do_and_opens_nothing(program: Any, baseline: Path, tmp_path: Path) -> None:
     config = tmp_path / "detector.toml"
     config.write_text(
@@ -115,7 +109,9 @@ def test_check_tells_what_a_start_would_do_and_opens_nothing(program: Any, basel
 
 @pytest.mark.realtime
 def test_health_tells_a_daemon_that_works_from_one_that_hangs_or_is_gone() -> None:
-    metrics = ("--metrics", str(free_port()))
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        metrics = ("--metrics", str(one.getsockname()[1]))
     with running(*LEARNING, *metrics) as (child, _):
         give_up = time.monotonic() + PATIENCE_S
         while (run := ran("--working", *metrics)).returncode and time.monotonic() < give_up:
