@@ -56,7 +56,7 @@ virtual: $(COMPILED) $(VENV)/.recorded  ## the tests that need no wall clock, in
 	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m "not realtime"
 
 realtime: $(COMPILED)  ## those that need it, and the machine for themselves: they mostly wait
-	$(BIN)/python -m pytest -n 3 --dist worksteal -m realtime $$(grep -rl --include='test_*.py' mark.realtime tests | sort)
+	$(BIN)/python -m pytest -n 4 --dist worksteal -m realtime $$(grep -rl --include='test_*.py' mark.realtime tests | sort)
 
 lint: $(STAMP)  ## ruff: rules and format
 	$(BIN)/ruff check .
@@ -69,7 +69,7 @@ layers: $(STAMP)  ## the import contracts
 	$(BIN)/lint-imports
 
 doctest: $(COMPILED)  ## every example in a docstring
-	$(BIN)/python -m pytest --doctest-modules mavdiag sitl_plant detector -p no:cacheprovider
+	PYTHONPATH=tests $(BIN)/python -m pytest -p conftest --doctest-modules mavdiag sitl_plant detector -p no:cacheprovider
 
 docs: $(COMPILED)  ## the documentation site in build/site, warnings as errors
 	$(BIN)/sphinx-build -q -W --keep-going -b html docs build/site

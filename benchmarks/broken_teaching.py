@@ -58,8 +58,8 @@ class Pool:
             return "refused"
 
 
-def pool_of(seed: int, number: int, size: int) -> Pool:
-    """The flights of an airframe."""
+def pool_of(seed: int, number: int, size: int, codes: Sequence[str] = CODES) -> Pool:
+    """The flights of an airframe. size: how many healthy ones. codes: of the faults."""
     session = session_of(seed, number)
     rng = session.rng
 
@@ -70,7 +70,7 @@ def pool_of(seed: int, number: int, size: int) -> Pool:
         )
 
     healthy = tuple(flight() for _ in range(size))
-    return Pool(session, healthy, {code: flight(code) for code in CODES}, {code: flight(code, 0.5) for code in CODES})
+    return Pool(session, healthy, {code: flight(code) for code in codes}, {code: flight(code, 0.5) for code in codes})
 
 
 @dataclass(slots=True)
@@ -108,14 +108,15 @@ class Tally:
 def judge_sets(pool: Pool, sets: int, rng: np.random.Generator, tally: Tally) -> None:
     """Draw sets of each kind from an airframe's flights and learn them."""
     tally.pools += 1
+    codes = list(pool.broken)
     for _ in range(sets):
         for size in SIZES:
-            code = str(rng.choice(CODES))
+            code = str(rng.choice(codes))
             chosen = [pool.healthy[i] for i in rng.permutation(len(pool.healthy))[:size]]
             tally.judge(f"healthy, {size}", pool, chosen)
             chosen[int(rng.integers(size))] = pool.broken[code]
             tally.judge(f"one broken of {size}", pool, chosen, code)
-        code = str(rng.choice(CODES))
+        code = str(rng.choice(codes))
         tally.judge("broken at half of 1", pool, [pool.half[code]], code)
 
 

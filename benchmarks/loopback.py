@@ -53,8 +53,7 @@ def fly(flight: Flight, baseline: Path) -> Result:
     with closed_loop(flight, baseline) as (plant, detector, station):
         while plant.running:
             station.listen(POLL_S)
-            outcome = DemoResult(flight.onset_s, tuple(station.texts))
-            if flight.fault and outcome.detected_s is not None:
+            if flight.fault and DemoResult.of(flight.onset_s, station.texts).detected_s is not None:
                 break
         plant.end()
         station.listen(POLL_S)
@@ -62,7 +61,7 @@ def fly(flight: Flight, baseline: Path) -> Result:
         printed = " ".join(detector.lines)
     cpu, lost = re.search(r"([\d.]+) % CPU", printed), re.search(r"(\d+) datagrams overflowed", printed)
     return Result(
-        DemoResult(flight.onset_s, tuple(station.texts)),
+        DemoResult.of(flight.onset_s, station.texts),
         float(cpu[1]) if cpu else float("nan"),
         int(lost[1]) if lost else -1,
     )

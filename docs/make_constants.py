@@ -36,18 +36,18 @@ class Constant(NamedTuple):
 def choices(source: str) -> Iterator[Constant]:
     """The constants of a module that are our choice."""
     lines = source.splitlines()
-    for node in ast.walk(ast.parse(source)):
-        if not isinstance(node, ast.Module | ast.ClassDef):
+    statements = ast.parse(source).body
+    for statement in statements:
+        if isinstance(statement, ast.ClassDef):
+            statements += statement.body  # which this loop reaches
+        if not isinstance(statement, ast.Assign | ast.AnnAssign) or statement.value is None:
             continue
-        for statement in node.body:
-            if not isinstance(statement, ast.Assign | ast.AnnAssign) or statement.value is None:
-                continue
-            target = statement.targets[0] if isinstance(statement, ast.Assign) else statement.target
-            name = ast.unparse(target).strip("()")
-            why = comment_of(lines, statement.lineno, statement.end_lineno or statement.lineno)
-            if name.isupper() and OURS.search(why):
-                value = " ".join(ast.unparse(statement.value).split())
-                yield Constant(name, value if len(value) <= 60 else value[:57] + "...", why)
+        target = statement.targets[0] if isinstance(statement, ast.Assign) else statement.target
+        name = ast.unparse(target).strip("()")
+        why = comment_of(lines, statement.lineno, statement.end_lineno or statement.lineno)
+        if name.isupper() and OURS.search(why):
+            value = " ".join(ast.unparse(statement.value).split())
+            yield Constant(name, value if len(value) <= 60 else value[:57] + "...", why)
 
 
 def comment_of(lines: list[str], first: int, last: int) -> str:

@@ -7,7 +7,7 @@ import mavdiag as md
 from mavdiag.demo.subprocesses import child, run_child
 
 with tempfile.TemporaryDirectory() as name:
-    record = ("record", "--flights", "5", "--duration", "30", "-o", f"{name}/healthy.tlog")
+    record = ("record", "--flights", "3", "--duration", "30", "-o", f"{name}/healthy.tlog")
     run_child("sitl_plant", *record)
     baseline = md.learn(Path(name), airframe="qdrone2")
 

@@ -30,7 +30,7 @@ from mavdiag.link.ports import Endpoint, open_endpoint
 from sitl_plant.campaign.command import campaign
 from sitl_plant.emulator import FlightReport, Link, fly, record_flight
 from sitl_plant.hil.command import serve_ardupilot, serve_hil, serve_px4
-from sitl_plant.options import STARTING, FlightPlan, TruthFile, parse_speed, with_flight
+from sitl_plant.options import STARTING, FlightPlan, TruthFile, check_times, parse_speed, with_flight
 from sitl_plant.plant import Plant, PlantSamples
 from sitl_plant.truth import Truth, truth_file
 
@@ -100,6 +100,7 @@ def record(
     if flights < 1 or (flights > 1 and truth is not None):
         raise UsageError(f"--flights {flights}: give one or more, and --truth for a single flight only")
     duration = RECORD_S if plan.duration_s is None else plan.duration_s
+    check_times(plan.config.fault, plan.config.onset_s, duration)
     for number in range(flights):
         path = output if flights == 1 else output.with_name(f"{output.stem}-{number:03d}{output.suffix}")
         check_output(path, truth, kind=AS_TLOG)

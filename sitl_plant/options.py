@@ -95,13 +95,15 @@ def flight_plan(
 
 
 def check_times(fault: str | None, onset_s: float, duration_s: float | None) -> None:
-    """Raise UsageError for an onset without a fault, or a time that cannot be."""
+    """Raise UsageError for an onset without a fault or after the end, or a time that cannot be."""
     if duration_s is not None and not 0.0 < duration_s <= LONGEST_S:
         raise UsageError(f"duration must be positive and at most {LONGEST_S:g} s, not {duration_s:g}")
     if not (math.isfinite(onset_s) and onset_s >= 0.0):
         raise UsageError(f"--onset must be zero or more, not {onset_s:g}")
     if fault is None and onset_s > 0.0:
         raise UsageError("--onset needs a fault: add --fault F2/SV2")
+    if fault is not None and duration_s is not None and onset_s >= duration_s:
+        raise UsageError(f"--onset {onset_s:g} is after the end of the flight: write less than {duration_s:g}")
 
 
 def with_options(plan: Callable[..., Any]) -> Callable[[Callable[..., None]], Callable[..., None]]:

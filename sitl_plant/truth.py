@@ -39,31 +39,10 @@ class Truth:
 
     def write(self, samples: PlantSamples, changes: Sequence[Change] = ()) -> None:
         """Write the lines of a block (n >= 1). changes: `Plant.take_changes`, made before the block."""
-        if self._file is not None:
-            begins = [self.head()] if int(samples.t_ns[0]) < self._t_ns else []
-            self._t_ns = int(samples.t_ns[-1])
-            self._file.writelines(f"{line}\n" for line in begins + self.step(samples, changes))
-            self._file.flush()
-
-    def slip(self, late_s: float) -> None:
-        """What follows comes so much later by the wall clock: the flight's clock was set back."""
-        self._started_unix_ns = self._started_unix_ns and self._started_unix_ns + round(late_s * 1e9)
-
-    def head(self) -> str:
-        """The first line of a flight, which now begins."""
-        config = self._config
-        self._causes = list(config.all_injections()[:1]) if config.fault else []
-        line: dict[str, object] = {"record": "flight", "vehicle": config.vehicle.name}
-        plain = ("drone", "trajectory", "nose", "start", "fault", "phenomenology", "seed", "wind_m_s", "turbulence_m_s")
-        line |= {name: getattr(config, name) for name in (*plain, "outages_per_min")}
-        line |= {name: getattr(config, name) if config.fault else None for name in ("rotor", "onset_s")}
-        carried = (config.pickup.payload.mass_kg, config.pickup.at_s) if config.pickup else (0.0, None)
-        line |= {"payload_kg": config.payload.mass_kg, "pickup_kg": carried[0], "pickup_s": carried[1]}
-        return json.dumps({**line, **self._link, "started_unix_ns": self._started_unix_ns})
-
-    def step(self, samples: PlantSamples, changes: Sequence[Change] = ()) -> list[str]:
-        """The lines that fall into a block (n >= 1). changes: `Plant.take_changes`, made before the block."""
-        lines = []
+        if self._file is None:
+            return
+        lines = [self._head()] if int(samples.t_ns[0]) < self._t_ns else []
+        self._t_ns = int(samples.t_ns[-1])
         for t_ns, what, values in changes:
             if isinstance(what, Injection):
                 self._causes.append(what)
@@ -84,7 +63,24 @@ class Truth:
                 columns |= {"quaternion": samples.quaternion, "omega_rad_s": samples.omega}
                 columns |= {"rotor_speed_rad_s": samples.rotor_speed, "battery_v": samples.battery_v}
                 lines.append(json.dumps(state | {name: column[row].tolist() for name, column in columns.items()}))
-        return lines
+        self._file.writelines(f"{line}\n" for line in lines)
+        self._file.flush()
+
+    def slip(self, late_s: float) -> None:
+        """What follows comes so much later by the wall clock: the flight's clock was set back."""
+        self._started_unix_ns = self._started_unix_ns and self._started_unix_ns + round(late_s * 1e9)
+
+    def _head(self) -> str:
+        """The first line of a flight, which now begins."""
+        config = self._config
+        self._causes = list(config.all_injections()[:1]) if config.fault else []
+        line: dict[str, object] = {"record": "flight", "vehicle": config.vehicle.name}
+        plain = ("drone", "trajectory", "nose", "start", "fault", "phenomenology", "seed", "wind_m_s", "turbulence_m_s")
+        line |= {name: getattr(config, name) for name in (*plain, "outages_per_min")}
+        line |= {name: getattr(config, name) if config.fault else None for name in ("rotor", "onset_s")}
+        carried = (config.pickup.payload.mass_kg, config.pickup.at_s) if config.pickup else (0.0, None)
+        line |= {"payload_kg": config.payload.mass_kg, "pickup_kg": carried[0], "pickup_s": carried[1]}
+        return json.dumps({**line, **self._link, "started_unix_ns": self._started_unix_ns})
 
     def _line(self, record: str, t_ns: int, values: dict[str, object]) -> str:
         unix_ns = None if self._started_unix_ns is None else self._started_unix_ns + t_ns

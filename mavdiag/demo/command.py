@@ -80,25 +80,16 @@ def demo(
         record = Path(folder) / "flight.tlog"
         with closed_loop(flight, fused, LiveJudge(reference, SPAN_S), record) as (plant, _, station):
             changes = watch(plant, station, flight, quiet=as_json)
-        result = DemoResult(flight.onset_s, tuple(station.texts))
+        result = DemoResult.of(flight.onset_s, station.texts)
         if as_json:
-            detected = result.detected_s
-            told = {
-                "verdict": "detected" if result.good else "false alarm" if result.false_alarms else "missed",
-                "onset_s": result.onset_s,
-                "detected_s": detected,
-                "latency_s": None if detected is None else round(detected - result.onset_s, 3),
-                "alerts": [asdict(text) for text in result.alerts],
-                "false_alarms": result.false_alarms,
-            }
-            typer.echo(json_line(told))
+            typer.echo(json_line(asdict(result)))
         else:
             _print_result(result, flight, changes)
             page, log = report or own_cache() / "demo-report.html", replace(read_log(record), name="the demo's flight")
             page.parent.mkdir(parents=True, exist_ok=True)
             say(f"the recorded flight, judged as a log: {write_report(log, Baseline.load(fused), fused, page)}")
             say(f"its report: {page}")
-    raise typer.Exit(0 if result.good else 1)
+    raise typer.Exit(0 if result.verdict == "detected" else 1)
 
 
 def thesis_rule(baseline: Baseline) -> Baseline:
@@ -169,11 +160,10 @@ def flight_view(station: GroundStation, flight: Flight, events: Sequence["Line"]
 def _print_result(result: DemoResult, flight: Flight, changes: Sequence[Change]) -> None:
     onset_s = flight.onset_s
     say(f"injected: {flight.fault} on rotor {flight.rotor} at {onset_s:g} s")
-    if result.detected_s is None:
+    if result.latency_s is None:
         say("detector: the fault was not alerted")
     else:
-        last = [text.text for text in result.alerts if text.t_s >= onset_s][-1]
-        say(f"detector: alerted {result.detected_s - onset_s:.2f} s after the onset; it ends with {last!r}")
+        say(f"detector: alerted {result.latency_s:.2f} s after the onset; it ends with {result.alerts[-1].text!r}")
     faults = [one for one in changes if one.stage is Stage.FAULT and one.t_ns / NS_PER_S >= onset_s]
     for thesis in faults[:1]:
         after_s = thesis.t_ns / NS_PER_S - onset_s
@@ -181,7 +171,7 @@ def _print_result(result: DemoResult, flight: Flight, changes: Sequence[Change])
         say(f"thesis rule: {evidence}, {after_s:.2f} s after the onset; it names no rotor and no type")
     if not faults:
         say("thesis rule: it did not alarm after the onset")
-    if result.good:
+    if result.verdict == "detected":
         say("before the onset nothing was alerted: the loop is closed")
     else:
         say(f"not good: {result.false_alarms} alerts before the onset" if result.false_alarms else "not good")

@@ -11,9 +11,10 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from mavdiag.errors import LinkError
 from mavdiag.link.messages import Severity
@@ -119,30 +120,25 @@ class Flight:
 
 @dataclass(frozen=True, slots=True)
 class DemoResult:
-    """What the ground station saw. Times in seconds of flight; detected_s is None if nothing was alerted in time."""
+    """What the ground station saw, as `demo --json` has it. Times in seconds; None if nothing was alerted in time."""
 
+    verdict: Literal["detected", "false alarm", "missed"]
     onset_s: float
-    texts: tuple[ReceivedText, ...]
+    detected_s: float | None  # of the flight, when the fault was first alerted
+    latency_s: float | None
+    alerts: tuple[ReceivedText, ...]
+    false_alarms: int  # before the onset
 
-    @property
-    def alerts(self) -> tuple[ReceivedText, ...]:
-        """Declared faults."""
-        return tuple(text for text in self.texts if text.severity <= Severity.CRITICAL)
-
-    @property
-    def false_alarms(self) -> int:
-        """Faults that were declared before there was one."""
-        return sum(text.t_s < self.onset_s for text in self.alerts)
-
-    @property
-    def detected_s(self) -> float | None:
-        """When the fault was first alerted."""
-        return next((text.t_s for text in self.alerts if text.t_s >= self.onset_s), None)
-
-    @property
-    def good(self) -> bool:
-        """Alerted after the onset, and silent before."""
-        return self.detected_s is not None and self.false_alarms == 0
+    @classmethod
+    def of(cls, onset_s: float, texts: Sequence[ReceivedText]) -> "DemoResult":
+        """The result of a flight with its fault from `onset_s` on."""
+        alerts = tuple(text for text in texts if text.severity <= Severity.CRITICAL)
+        early = sum(text.t_s < onset_s for text in alerts)
+        detected_s = next((text.t_s for text in alerts if text.t_s >= onset_s), None)
+        if detected_s is None:
+            return cls("false alarm" if early else "missed", onset_s, None, None, alerts, early)
+        told = (onset_s, detected_s, round(detected_s - onset_s, 3), alerts, early)
+        return cls("false alarm" if early else "detected", *told)
 
 
 @contextlib.contextmanager

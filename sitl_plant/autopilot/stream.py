@@ -200,12 +200,12 @@ def records(msgid: int, filtered: FilteredSamples, rows: IntArray, dialect: Dial
 
     There are more payloads than rows where one message does not carry all rotors. Fields without a column are zero.
     """
-    columns = _BUILDERS[msgid](_Due(filtered, rows, dialect))
-    shapes = {name: np.shape(column) for name, column in columns.items()}
-    dtype = _dtype(msgid, tuple((name, shape[1] if len(shape) == 2 else 1) for name, shape in shapes.items()))
-    record = np.zeros(next(shape[0] for shape in shapes.values() if shape), dtype)
-    for name, column in columns.items():
-        record[name] = np.reshape(column, record[name].shape) if np.ndim(column) else column
+    built = _BUILDERS[msgid](_Due(filtered, rows, dialect))
+    columns = {name: np.asarray(column) for name, column in built.items()}
+    dtype = _dtype(msgid, tuple((name, one.shape[1] if one.ndim == 2 else 1) for name, one in columns.items()))
+    record = np.zeros(next(len(one) for one in columns.values() if one.ndim), dtype)
+    for name, one in columns.items():
+        record[name] = one.reshape(record[name].shape) if one.ndim else one
     return np.repeat(rows, len(record) // len(rows)), record
 
 
@@ -321,7 +321,7 @@ _BUILDERS: Mapping[int, Callable[[_Due], Columns]] = {
     },
     MessageId.SYS_STATUS: lambda due: {
         **{f"onboard_control_sensors_{state}": HEALTH for state in ("present", "enabled", "health")},
-        "voltage_battery": integers(1e3 * due.volts, 16),
+        "voltage_battery": integers(1e3 * due.volts, 17),
         "current_battery": -1,  # not measured
         "battery_remaining": due.remaining,
     },

@@ -385,8 +385,9 @@ def run_campaign(design: Design, journal: Journal, workers: int | str) -> Result
 
     def work(stage: str, function: Callable[[Job], Line], jobs: Sequence[Job]) -> None:
         left = [job for job in jobs if job[0] not in journal.lines]
+        needed = workers if isinstance(workers, str) else min(workers, len(left))
         with shown(stage, (1.0,) * len(left)) as bar:
-            for _, future in run_all(function, left, workers, warn=partial(bar.say, err=True)):
+            for _, future in run_all(function, left, needed, warn=partial(bar.say, err=True)):
                 error = future.exception()
                 if error is not None and died(error):
                     raise UsageError(

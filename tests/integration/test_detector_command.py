@@ -89,12 +89,6 @@ def baseline(tmp_path: Path) -> Path:
     return path
 
 
-def free_port() -> int:
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        return int(one.getsockname()[1])
-
-
 def test_check_tells_what_a_start_would_do_and_opens_nothing(program: Any, baseline: Path, tmp_path: Path) -> None:
     config = tmp_path / "detector.toml"
     config.write_text(
@@ -116,7 +110,9 @@ def test_check_tells_what_a_start_would_do_and_opens_nothing(program: Any, basel
 
 @pytest.mark.realtime
 def test_health_tells_a_daemon_that_works_from_one_that_hangs_or_is_gone() -> None:
-    metrics = ("--metrics", str(free_port()))
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        metrics = ("--metrics", str(one.getsockname()[1]))
     with running(*LEARNING, *metrics) as (child, _):
         give_up = time.monotonic() + PATIENCE_S
         while (run := ran("--working", *metrics)).returncode and time.monotonic() < give_up:
@@ -162,11 +158,12 @@ def test_a_full_disk_stops_the_files_and_nothing_else(baseline: Path, tmp_path: 
 def test_a_dead_link_behind_does_not_hold_up_the_vehicles(baseline: Path) -> None:
     """One server accepts and never reads, nobody listens on the other, and the device is not there."""
     vehicle = MadeVehicle(1)
-    with socket.socket() as deaf:
+    with socket.socket() as deaf, socket.socket() as closed:
         deaf.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-        deaf.bind(("127.0.0.1", 0))
+        for one in (deaf, closed):  # a port that is bound cannot become that of another test
+            one.bind(("127.0.0.1", 0))
         deaf.listen(1)
-        behind = (f"tcp:127.0.0.1:{deaf.getsockname()[1]}", f"tcp:127.0.0.1:{free_port()}", "/dev/absent,57600")
+        behind = (*(f"tcp:127.0.0.1:{one.getsockname()[1]}" for one in (deaf, closed)), "/dev/absent,57600")
         options = [part for address in behind for part in ("--forward", address)]
         with running("--baseline", str(baseline), *UDP, *options) as (child, first):
             with open_endpoint(f"udpout:127.0.0.1:{port_of(first)}") as far:

@@ -33,7 +33,7 @@ from mavdiag.rows.rates import RateSpec
 from mavdiag.telemetry import FloatArray, Log, Signal, Telemetry
 from mavdiag.units import G
 from sitl_plant.autopilot.dialect import DIALECTS, Esc, dialect_named
-from sitl_plant.autopilot.stream import ImuFilters, _EscFrames, messages_due
+from sitl_plant.autopilot.stream import ImuFilters, _EscFrames, messages_due, records
 from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry
 from sitl_plant.emulator import recorded
 from sitl_plant.options import FlightPlan
@@ -41,13 +41,10 @@ from sitl_plant.plant import Plant, PlantConfig, PlantSamples
 from sitl_plant.vehicle import airframe_of, vehicle_named
 
 ONSET_S = 12.0  # 5 s after take-off nothing is judged
+CRACKS = ("F1/SV1", "F2/SV2", "F3/SV3")
 FRONT = Front(AlignSpec(0.001, Grid.NATIVE), GateSpec(min_thrust=0.1), RateSpec.of(0.001, 101))
 QDRONE2 = Airframe(layout=layout_named("qdrone2"), mass_kg=1.504, hover_rad_s=1047.2)
 NOW = "2026-01-01T00:00:00+00:00"
-
-
-def flown(config: PlantConfig, duration_s: float) -> Telemetry:
-    return flight_telemetry(config, duration_s)[0]
 
 
 @cache
@@ -58,7 +55,7 @@ def baseline() -> Baseline:
 @pytest.mark.parametrize("rotor", [1, 2, 3, 4])
 def test_a_crack_is_declared_soon_and_its_rotor_named(rotor: int) -> None:
     config = PlantConfig(seed=7, fault="F2/SV2", rotor=rotor, onset_s=ONSET_S)
-    verdict = judge(Log("crack", "", "qdrone2", flown(config, 26.0)), baseline())
+    verdict = judge(Log("crack", "", "qdrone2", flight_telemetry(config, 26.0)[0]), baseline())
     assert verdict.verdict is Verdict.FAULT
     faults = [one for one in verdict.changes if one.stage is Stage.FAULT]
     assert ONSET_S < faults[0].t_ns / 1e9 < ONSET_S + 3.0
@@ -68,7 +65,7 @@ def test_a_crack_is_declared_soon_and_its_rotor_named(rotor: int) -> None:
 
 @pytest.mark.parametrize("seed", [900, 901, 902])
 def test_a_healthy_flight_is_healthy(seed: int) -> None:
-    verdict = judge(Log("healthy", "", "qdrone2", flown(PlantConfig(seed=seed), 25.0)), baseline())
+    verdict = judge(Log("healthy", "", "qdrone2", flight_telemetry(PlantConfig(seed=seed), 25.0)[0]), baseline())
     assert verdict.verdict is Verdict.HEALTHY, f"seed {seed}: {verdict.reason}"
 
 
@@ -111,7 +108,7 @@ def test_the_estimated_unbalance_is_that_of_the_table_and_placed() -> None:
 @cache
 def pool() -> Pool:
     """Of an airframe at 1 kHz."""
-    return pool_of(7001, 0, 6)
+    return pool_of(7001, 0, 6, CRACKS)
 
 
 def learnt(*flights: Log) -> Baseline:
@@ -131,7 +128,7 @@ def test_drawn_sets_are_marked_where_one_is_broken_and_nowhere_else(monkeypatch:
             assert counts[False] == 0, (kind, tally.wrong)
 
 
-@pytest.mark.parametrize("code", ["F1/SV2", "F2/SV1", "F3/SV3"])
+@pytest.mark.parametrize("code", CRACKS)
 def test_a_crack_in_one_flight_names_the_flight_and_the_time(code: str) -> None:
     half = pool().half[code]
     weak = learnt(half).weak
@@ -384,11 +381,13 @@ def test_the_vibration_level_is_ardupilots() -> None:
     assert sent[-1, 0] > 0.5  # m/s^2: the damaged rotor shakes
 
 
-def test_what_is_above_15_5_g_in_any_axis_is_counted_as_clipped() -> None:
-    samples = unbalanced()
-    samples = replace(samples, accel=np.zeros_like(samples.accel))
+def test_what_is_above_15_5_g_in_any_axis_is_counted_as_clipped_and_12_cells_are_told() -> None:
+    samples, dialect = unbalanced(), dialect_named("ardupilot")
+    samples = replace(samples, accel=np.zeros_like(samples.accel), battery_v=np.full(N, 50.4))
     samples.accel[[5, 7, 9], [0, 1, 2]] = np.array([15.4, -15.6, 15.6]) * G
-    assert ImuFilters(dialect_named("ardupilot"), 1).step(samples).clippings[[6, 8, -1]].tolist() == [0, 1, 2]
+    sent = ImuFilters(dialect, 1).step(samples)
+    assert sent.clippings[[6, 8, -1]].tolist() == [0, 1, 2]
+    assert records(MessageId.SYS_STATUS, sent, np.array([0]), dialect)[1]["voltage_battery"] == 50_400
 
 
 def frames_of(config: PlantConfig, profile: str, rate_hz: float, seconds: float = 1.0) -> list[Frame]:

@@ -360,14 +360,8 @@ def test_controls_turn_the_motors_only_if_armed() -> None:
     assert rows[-1][10] > 488_010
 
 
-ARDUPILOT = {
-    "qdrone2": "x",
-    "qdrone2-recorded": "x",
-    "quad-plus": "plus",
-    "hexa-x": "hexa-x",
-    "hexa-plus": "hexa-plus",
-    "octo-x": "octo-x",
-}
+ARDUPILOT = {"qdrone2": "x", "qdrone2-recorded": "x", "quad-plus": "plus"}
+ARDUPILOT |= {name: name for name in ("hexa-x", "hexa-plus", "octo-x")}
 
 
 @pytest.mark.parametrize("name", ARDUPILOT)

@@ -27,6 +27,7 @@ REFUSED = [
     *((f"sitl-plant run --{wrong}", "Invalid value for '--") for wrong in ("phenomenology 7", "wind nan", "wind -1")),
     ("sitl-plant run --propellers nan", "propellers must spread by 0 to 20%, not nan%"),
     ("sitl-plant run --onset 3", "--onset needs a fault"),
+    ("sitl-plant record -o t.tlog --fault F2/SV2 --onset 60", "--onset 60 is after the end of the flight"),
     ("sitl-plant run --rate 5000", "rate must be 1 to 1000 Hz"),
     ("sitl-plant run --profile betaflight", "no link profile betaflight"),
     ("sitl-plant run --speed fast", "speed must be 0.01 to 100, or max"),

@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from pydantic import TypeAdapter
-from scipy.signal import lfilter, savgol_filter
+from scipy.signal import lfilter
 from shared_data import shared
 
 from mavdiag.errors import IdentificationError
 from mavdiag.identify import ArxModel, Method, ModelRecord, Order, fit
-from mavdiag.identify.arx import Records, Segment, polynomials
+from mavdiag.identify.arx import Estimate, Records, Segment, polynomials
 from mavdiag.identify.estimate import (
     ORDERS,
     best_row,
@@ -367,11 +367,17 @@ def test_the_order_that_made_the_data_is_chosen() -> None:
     assert best_row(rows).order == (2, 2, 1)
 
 
-def test_a_variance_below_zero_makes_no_order_the_best() -> None:
-    rng = np.random.default_rng(0)
-    u = savgol_filter(0.01 * rng.normal(size=5000).cumsum(), 101, 2)
-    y = savgol_filter(lfilter([0, 1e-4, 1e-4], [1, -1.976, 0.9762], u) + 0.01 * rng.normal(size=5000), 101, 2)
-    assert fit(u, y, (3, 5, 0), dt=0.001).yic == math.inf
+def test_a_variance_below_zero_makes_no_order_the_best(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As rounding leaves it where the data hardly tell a parameter, on one processor and not on another."""
+
+    def rounded(*given: Any) -> Estimate:
+        found = sriv(*given)
+        return dataclasses.replace(found, covariance=-found.covariance)
+
+    made = record(WELL, 500, 0.1, seed=0)
+    assert fit(made.u, made.y, (2, 2, 1), dt=DT).yic < 0.0
+    monkeypatch.setattr("mavdiag.identify.estimate.sriv", rounded)
+    assert fit(made.u, made.y, (2, 2, 1), dt=DT).yic == math.inf
 
 
 def test_figures_of_a_sampled_oscillator_are_those_of_the_textbook() -> None:
