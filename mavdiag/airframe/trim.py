@@ -26,7 +26,7 @@ from mavdiag.units import G
 YAW_FLOOR = 0.002  # of the hover command: smallest yaw spread that is believed (our choice)
 LEVEL_RATIO = 3.0  # least spread of roll and pitch over yaw's: payload and wind move them; METHOD 5 has .07 to .012
 BESIDE = 0.3  # how far beside the centre what is taken up in flight hangs, over the rotors' distance (sd, our choice)
-TILT_TRIM = 0.3  # 1/rad: roll and pitch trim that a steady tilt in wind may bring (estimate; emulated: 0.28)
+TILT_TRIM = 0.5  # 1/rad: roll and pitch trim that a steady tilt in wind may bring (sd; emulated: 0.50 and 0.63)
 ALONG_DISCS, ALONG_Z = slice(0, 2), slice(2, 3)  # of the accelerometer
 FELT_SHARE = 0.99  # of the rows that must have them (our choice)
 MIN_OUTPUT = 0.05  # mean output or thrust below which nothing flies (our choice)

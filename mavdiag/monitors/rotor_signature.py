@@ -5,7 +5,7 @@ then grows along one diagonal, in step with the vertical acceleration:
 
     r_roll, r_pitch = y - y_sim                  free run of a closed-loop ARX model on the commanded rate (T 5.5)
     r_heave         = a_z - a_sim                the same on the commanded thrust
-    r  <- r - EMA_1s(r)                          slow wind and trim are no fault
+    r  <- r - EMA_1s(r)                          from the first known r on; slow wind and trim are no fault
     r  <- r - g f - h df/dt                      f: y_sim without its slow part; g, h follow the last 10 s
     n   = r / sqrt(k0 + k1 EMA_0.35s(u^2))       u: what was commanded; a sharp manoeuvre may leave more (METHOD 4)
     n  <- clip(n, +-4 s)                         s^2 = max(1, EMA_10s(n^2)): a jolt counts little, unrest in full
@@ -144,9 +144,11 @@ def _channel(par: Floats, mem: Floats, i: int, command: float, measured: float, 
     own, state = par[CHANNELS + OF_PAR * i : HEAD], mem[STATES + OF_STATE * i : PASTS]
     drift, slow = par[DRIFT], par[FOLLOW]
     f = free_run(par, int(own[MODEL]), int(own[ORDER]), mem, int(own[OWN]), command)
-    r = measured - f if known else 0.0  # what is not known is not unexplained
-    state[SLOW] += drift * (r - state[SLOW])
-    r -= state[SLOW]
+    r = 0.0  # what is not known is not unexplained
+    if known:
+        r = measured - f
+        state[SLOW] = state[SLOW] + drift * (r - state[SLOW]) if math.isfinite(state[SLOW]) else r
+        r -= state[SLOW]
     if par[FOLLOWS] > 0.5:  # what the errors of gain and speed, as known before this sample, explain of it
         df, prior = (f - state[SIMULATED]) * par[SPEED], own[PRIOR]
         state[SIMULATED] = f
@@ -354,7 +356,7 @@ def _begin(
     mean = np.zeros(mean_size(window, 6))
     mean[FRESH + 6 : FRESH + 12], mean[FRESH + 12 :] = window * np.array(HEALTHY), np.repeat(HEALTHY, window)
     before = np.zeros(past)
-    before[STATES + UNREST : PASTS : OF_STATE] = 1.0
+    before[STATES + SLOW : PASTS : OF_STATE], before[STATES + UNREST : PASTS : OF_STATE] = np.nan, 1.0
     return Begin(np.array(par), np.concatenate((before, mean, np.zeros(mean_size(least, 3)))), len(taps) - 1)
 
 

@@ -11,6 +11,7 @@ Principles of Helicopter Aerodynamics, ch. 4): the pull h is what the accelerome
 wind the tangent of the lean. So k1 and k2 tell wind and flight from a weak rotor, where the lean of a vehicle that
 speeds up cannot: of a real quadcopter that flies about, the 5 s means of pitch scatter by 0.062 of hover, and by 0.015
 without k2 h2. Without an accelerometer the lean is in place of h, k is zero, and their errors stay those of the prior.
+They nearly do in calm air: what is no larger than the trim's floor may go with h in all ticks (`fitting.updated`).
 
 A vehicle whose nose turns has its rotors commanded apart: a steady turn against the drag of its rotation (b1), the
 start and the stop of a turn for its inertia (b2) and for that of the rotors, whose change of speed turns the vehicle
@@ -528,7 +529,8 @@ def _with_laws(spec: Spec, flights: Sequence[Sequence[FloatArray]], dt_s: float)
 
     def fitted(axis: int, of: list[int], prior: FloatArray, sd: FloatArray) -> tuple[FloatArray, FloatArray]:
         known = updated(prior, np.diag(sd**2.0), means[:, axis], means[:, of], APART[axis] ** 2)
-        return held_law(ticks[:, axis], ticks[:, of], *known, trims.YAW_FLOOR, window)
+        held = trims.YAW_FLOOR if axis < 2 else 0.0  # manoeuvres in calm air repeat
+        return held_law(ticks[:, axis], ticks[:, of], *known, trims.YAW_FLOOR, window, held)
 
     law, P = fitted(2, [5, 7, 8], PRIOR, PRIOR_SD)
     if law[2] < 0.0:  # rotors without inertia where that is the best one: a command that answers noise
