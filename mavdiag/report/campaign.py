@@ -115,12 +115,11 @@ class Roc:
 def read_campaign(path: Path) -> Campaign:
     """Read a file of results. Raises InputError, naming it, if it is none."""
     with open_regular(path, MOST_BYTES) as file:
-        data = file.read()
+        text = file.read().decode(errors="replace")  # a line that is no UTF-8 is no result, as any other
     try:
-        return parse_campaign(data.decode())
-    except (UnicodeDecodeError, InputError) as error:
-        reason = error if isinstance(error, InputError) else f"not UTF-8 text; {REMEDY}"
-        raise InputError(f"{path}: {reason}") from error
+        return parse_campaign(text)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
 
 
 def parse_campaign(text: str) -> Campaign:

@@ -28,7 +28,7 @@ from mavdiag.identify import Method, fit
 from mavdiag.identify.estimate import validate
 from mavdiag.judging import LogVerdict, Verdict
 from mavdiag.look.figures import spectrum_of
-from mavdiag.report.campaign import parse_campaign, read_campaign, roc_of
+from mavdiag.report.campaign import read_campaign, roc_of
 from mavdiag.report.chart import Picture, Thinned, ticks_of
 from mavdiag.report.drawing import SIZE, airframe_svg
 from mavdiag.report.page import FlightReport, campaign_page, flight_report, flights_page, history_page
@@ -137,9 +137,10 @@ def test_several_logs_begin_with_a_table_that_leads_to_each_and_equal_values_giv
     assert flights_page(flights, whole(), "baseline.json", CREATED) == text
 
 
-def test_a_campaign_is_drawn_from_its_results() -> None:
-    campaign = parse_campaign(results(HOSTILE[:60]))
-    assert (len(campaign.flights), campaign.unread, len(campaign.faulty)) == (40, 1, 24)
+def test_a_campaign_is_drawn_from_its_results(tmp_path: Path) -> None:
+    (path := tmp_path / "c.jsonl").write_bytes(results(HOSTILE[:60]).encode() + b"\n\xff\xfe")  # a torn line, and none
+    campaign = read_campaign(path)
+    assert (len(campaign.flights), campaign.unread, len(campaign.faulty)) == (40, 2, 24)
     page = check(campaign_page(campaign, HOSTILE, CREATED))
     found = sum(one.latency_s is not None for one in campaign.faulty)
     assert f"Of 24 judged flights with a damaged propeller {found} had an alarm" in page.said
@@ -153,7 +154,7 @@ def test_a_campaign_is_drawn_from_its_results() -> None:
         (b"", "holds no flight"),
         (b"[1, 2]", "holds no flight"),
         (b'{"seed": 0, "detection": []}', "is a campaign's summary"),
-        (b"\xff\xfe", "not UTF-8"),
+        (b"\xff\xfe", "holds no flight"),
         (b'{"record": "flight", "key": 1}', "holds no flight"),
     ],
 )
