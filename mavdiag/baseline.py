@@ -348,7 +348,7 @@ class Baseline(Part, Tabular):
         if by_maximum and (missing := GUARANTEE_FLIGHTS - flights) > 0:
             advice.append(f"{missing} more flights, for a 95/95 guarantee by the longest healthy run")
         elif not self.supported:
-            advice.append(f"more flight: {LEAST_FLIGHTS} flights, and {LEAST_S / 60:g} min in all, at least")
+            advice.append(f"{LEAST_FLIGHTS} flights or more, of {LEAST_S / 60:g} min in all")
         elif days > 0:
             advice.append(f"healthy flights of {days} more day{'s' if days > 1 else ''} (`mavdiag baseline extend`)")
         if not names & {"rotor_trim", "trim_step"}:

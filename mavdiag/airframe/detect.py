@@ -91,17 +91,18 @@ def detect_layout(
 
 
 def wiring(block: Block, layout: RotorLayout) -> FloatArray:
-    """(2,) cosines of what roll and pitch do to the outputs of the rotors with what the layout says; NaN if not shown.
+    """(2, 2) cosines of what roll and pitch do to the outputs of the rotors with what the layout says, and their F.
 
-    Another order of the outputs brings one of them down to 0 or below, for a quadrotor; 0 where only others move.
+    F adds up over blocks; a cosine counts from `MIN_F` on. Another order of the outputs brings one of them down to 0 or
+    below, for a quadrotor; they are 0 where only others move.
     """
     motors, moving = range(layout.rotors), moving_outputs([block])
     if len(moving) >= FEWEST and not set(moving) & set(motors):
-        return np.zeros(2)
-    fit = _fit([block], motors) if moving else None
+        return np.array([[0.0, 0.0], [MIN_F, MIN_F]])
+    fit = _fit([block], motors, (0, 2)) if moving else None  # judging may leave out the rates' set-points
     if fit is None or fit.explained < MIN_EXPLAINED:
-        return np.full(2, np.nan)
-    return np.where(fit.F[:2] >= MIN_F, _cosines(fit, layout)[:2], np.nan)
+        return np.zeros((2, 2))
+    return np.stack((_cosines(fit, layout)[:2], fit.F[:2]))
 
 
 def contradicts(finding: LayoutFinding, layout: RotorLayout) -> str:
@@ -200,13 +201,14 @@ def _pieces(
         yield last.dt_s, np.concatenate(rows, axis=1)
 
 
-def _fit(blocks: Iterable[Block], columns: Sequence[int]) -> _Fit | None:
+def _fit(blocks: Iterable[Block], columns: Sequence[int], drivers: Sequence[int] = range(3)) -> _Fit | None:
+    """By the first of the drivers that is known most of the time."""
     judged, known = 0, np.zeros(len(DRIVERS), dtype=np.int64)
     for block in blocks:
         flown = np.isfinite(_shares(block, columns)[0])
         judged += int(np.count_nonzero(flown))
         known += [np.count_nonzero(flown & np.isfinite(x).all(axis=0)) for x in _drivers(block)]
-    carried = np.flatnonzero(2 * known > judged).tolist()
+    carried = [number for number in drivers if 2 * known[number] > judged]
     if not carried:
         return None
     lags_s = LAGS_S if carried[0] == len(DRIVERS) - 1 else LAGS_S[:1]

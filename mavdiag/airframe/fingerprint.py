@@ -17,7 +17,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from mavdiag.airframe.airframe import UNNAMED
-from mavdiag.airframe.detect import wiring
+from mavdiag.airframe.detect import MIN_F, wiring
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.airframe.trim import LEVEL_RATIO, MIN_OUTPUT, rises, shown_trim
 from mavdiag.errors import InputError
@@ -192,7 +192,7 @@ class _Shown(NamedTuple):
     thrust: FloatArray  # of calm rows
     levels: FloatArray  # the motors' mean outputs in them, where no thrust and the layout are known
     outputs: FloatArray  # (outputs, n) that are known
-    wired: FloatArray  # (2,) as of `wiring`
+    wired: FloatArray  # (2, 2) as of `wiring`
 
 
 class Beginning:
@@ -331,7 +331,7 @@ def traits(blocks: Iterable[Block], layout: RotorLayout | None) -> FloatArray:
 
 def _shown(block: Block, layout: RotorLayout | None) -> _Shown:
     calm, window, trim = _calm(block), window_rows(TRIM_S, block.dt_s), np.empty((0, 3))
-    levels, wired, width = np.empty(0), np.full(2, np.nan), block.actuator.shape[1]
+    levels, wired, width = np.empty(0), np.zeros((2, 2)), block.actuator.shape[1]
     if layout is not None:
         wired = wiring(block, layout)
         values, known = shown_trim(block, layout)
@@ -347,7 +347,7 @@ def _shown(block: Block, layout: RotorLayout | None) -> _Shown:
 
 def _figures(shown: Sequence[_Shown]) -> FloatArray:
     trim = np.concatenate([np.empty((0, 3)), *(one.trim for one in shown)])
-    wired = np.array([one.wired for one in shown]).reshape(-1, 2).T
+    cosines, F = np.array([one.wired for one in shown]).reshape(-1, 2, 2).swapaxes(0, 1)
     return np.array(
         [
             *(np.median(trim, axis=0) if len(trim) else np.full(3, np.nan)),
@@ -356,7 +356,7 @@ def _figures(shown: Sequence[_Shown]) -> FloatArray:
             _level([one.thrust for one in shown]),
             _level([one.levels for one in shown]),
             _motors([one.outputs for one in shown]),
-            *(np.mean(known) if len(known := cosines[np.isfinite(cosines)]) else math.nan for cosines in wired),
+            *np.where(F.sum(axis=0) >= MIN_F, (cosines * F).sum(axis=0) / np.maximum(F.sum(axis=0), MIN_F), np.nan),
         ]
     )
 
