@@ -186,7 +186,7 @@ def fly(
     record: Path | None = None,
 ) -> Flown:
     """One flight. call: how it is called off, 2 s after it was announced. record: a flight to learn from."""
-    goal: dict[str, object] = {"learn": 1e6} if record else {"baseline": Path("-"), "on_fault": TABLE[place]}
+    goal: dict[str, object] = {"learn": 3600.0} if record else {"baseline": Path("-"), "on_fault": TABLE[place]}
     settings, longest_s = Settings.model_validate(goal), until_s if until_s > END_S else LEARN_S
     known = None if record else baseline(place, craft, longest_s)
     config = craft.config(seed)

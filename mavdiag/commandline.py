@@ -49,16 +49,13 @@ class _App(typer.Typer):
         register = super().command(*args, **{"cls": _Command, **how})
 
         def add(function: Callable[..., None]) -> Callable[..., None]:
-            signature = inspect.signature(function, eval_str=True)
-            version = inspect.Parameter("version", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=_Version)
-
             @functools.wraps(function)
             def run_it(*, version: bool, **given: Any) -> None:
                 function(**given)
 
-            run_it.__signature__ = signature.replace(  # type: ignore[attr-defined]  # of a function
-                parameters=[*signature.parameters.values(), version]
-            )
+            own = inspect.signature(function, eval_str=True).parameters.values()
+            asked = inspect.Parameter("version", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=_Version)
+            run_it.__signature__ = inspect.Signature([*own, asked])  # type: ignore[attr-defined]  # of a function
             register(run_it)
             return function
 

@@ -139,8 +139,7 @@ def test_a_fault_is_on_the_wire_as_text_and_as_figures(benches: Benches) -> None
     assert said[0].text("text") == "PROP FAULT roll attitude unlike the model"
     figures = {field(one, "name"): field(one, "value") for one in of(frames, MessageId.NAMED_VALUE_FLOAT)}
     assert set(figures) == {"PF_RES", "PF_MARG", "PF_FSD", "PF_FML"}
-    assert figures["PF_RES"] == pytest.approx(0.5, abs=0.05)
-    assert figures["PF_FML"] == pytest.approx(0.3)
+    assert (figures["PF_RES"], figures["PF_FML"]) == (pytest.approx(0.5, abs=0.05), pytest.approx(0.3))
 
 
 def test_l9_the_recording_reads_back_as_the_flight_that_was_received(benches: Benches, tmp_path: Path) -> None:
@@ -374,8 +373,7 @@ def test_a_full_disk_leaves_the_old_baseline_and_the_watch(tmp_path: Path, monke
     settings = Settings(connect=UDP_IN, learn=5.0, save=path)
     bench = Bench(settings, vehicles=[MadeVehicle(1)], fitter=FakeFitter(baseline_for()))
     bench.run(12.0)
-    assert path.read_bytes() == before
-    assert [one.name for one in tmp_path.iterdir()] == ["b.json"]
+    assert (path.read_bytes(), [one.name for one in tmp_path.iterdir()]) == (before, ["b.json"])
     assert any("baseline is not saved" in line and "No space left" in line for line in bench.host.lines)
     assert bench.daemon.fleet.vehicles[1].session.state is State.MONITORING
     assert finds_a_fault(bench)

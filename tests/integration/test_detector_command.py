@@ -176,8 +176,7 @@ def test_a_dead_link_behind_does_not_hold_up_the_vehicles(baseline: Path) -> Non
                 vehicle.turning = 0.5
                 assert any("FAULT" in text for text in until(far, vehicle, "FAULT"))
             code, rest = ended(child, signal.SIGTERM)
-    assert code == 0
-    assert rest.count("the connection is refused: nobody listens there") == 1
+    assert (code, rest.count("the connection is refused: nobody listens there")) == (0, 1)
     assert " 0 lost on the way" in rest
     assert "0 datagrams overflowed here" in rest
 
@@ -193,19 +192,13 @@ def test_a_dead_link_behind_does_not_hold_up_the_vehicles(baseline: Path) -> Non
         ("baseline = ''", "baseline: is empty; name one, or leave it out"),
         ("learn = 9\nmetrics = '9100'\nweb = 'localhost:9100'", "--web localhost:9100 listen on one port"),
         ("learn = 9\nforward = ['udpin:0.0.0.0:14550']", "udpin:0.0.0.0:14550 listen on one port"),
-        ("learn = 10\nask_hz = 1e7", "ask_hz: Input should be less than or equal to 10000"),
         ("learn = 10\nask_hz = 30.0", "ask_hz 30 is below min_rate_hz 45"),
         ("learn = [", "not TOML"),
         ("learn = 10\nbaseline = 'b.json'", "either --baseline FILE or --learn SECONDS, not both"),
-        ("", "name a --baseline FILE, or --learn SECONDS"),
         ("baseline = 'b.json'\nsave = 's.json'", "--save is about what --learn SECONDS learns"),
-        ("baseline = 'b.json'\nairframe = 'qdrone2'", "--airframe is about what --learn SECONDS learns"),
-        ("learn = 10\nconnect = 'udp:1'", "malformed address 'udp:1'"),
         ("learn = 10\nforward = ['nowhere']", "malformed address 'nowhere'"),
-        ("learn = 10\nprofile = 'dji'", "no link profile dji"),
         ("learn = 10\nmetrics = 'here'", "malformed metrics address 'here'"),
         ("baseline = 'b.json'\nhook = ['exec:no-such-program-at-all']", "there is no program 'no-such-program-at-all'"),
-        ("baseline = 'b.json'\nhook = ['exec:']", "there is no program ''"),
         ("baseline = 'b.json'\nhook = ['exec:\"echo']", "No closing quotation"),
         ("baseline = 'b.json'\nhook = ['ftp://127.0.0.1/x']", "write exec:PROGRAM"),
         ("baseline = 'b.json'\nhook = ['mqtt://127.0.0.1']", "write exec:PROGRAM"),

@@ -77,8 +77,7 @@ def test_flights_are_judged_kept_once_and_listed(mavdiag: Any, tmp_path: Path, m
     code, out, _ = mavdiag("history", "list", "--json")
     flights = [json.loads(line) for line in out.splitlines()]
     assert (code, [one["flight"] for one in flights]) == (0, [1, 2])
-    assert {one["airframe"] for one in flights} == {"drone 1"}
-    assert len(flights[0]["rotor_trim"]) == 4
+    assert ({one["airframe"] for one in flights}, len(flights[0]["rotor_trim"])) == ({"drone 1"}, 4)
     names = [one["monitor"] for one in flights[0]["monitors"]]
     assert names[:2] == ["fsd", "fsd"]
     assert {"innovation", "unbalance", "rotor_trim"} <= set(names)
@@ -269,7 +268,6 @@ def test_a_vehicle_gets_the_baseline_that_is_named_by_its_uid(tmp_path: Path) ->
                         told = (0, 0, 0, 0, 0, (0,) * 8, (0,) * 8, (0,) * 8, 0, 0, int(UID, 16))
                         bench.far.send(vehicles[1].encoder.encode(MessageId.AUTOPILOT_VERSION, *told))
     judged = {sysid: vehicle.session.baseline for sysid, vehicle in bench.daemon.fleet.vehicles.items()}
-    assert judged == {1: found[1], 2: found[UID]}
-    assert asked == {1: 0, 2: 1, 3: 3}
+    assert (judged, asked) == ({1: found[1], 2: found[UID]}, {1: 0, 2: 1, 3: 3})
     assert any("vehicle 3: not watched" in line for line in bench.host.lines)
     bench.close()

@@ -190,8 +190,7 @@ def test_a_message_is_overtaken_by_no_more_than_asked(depth: int) -> None:
     numbers = [number for _, number in found]
     assert sorted(numbers) == list(range(COUNT))
     overtaken = [sum(later > number for later in numbers[:at][-20:]) for at, number in enumerate(numbers)]
-    assert max(overtaken) == depth
-    assert shim.count.reordered == sum(one > 0 for one in overtaken)
+    assert (max(overtaken), shim.count.reordered) == (depth, sum(one > 0 for one in overtaken))
 
 
 def test_a_slow_line_carries_what_it_can_and_throws_the_rest_away() -> None:

@@ -170,8 +170,7 @@ def test_mcap_has_every_signal_and_statistic_in_order_of_the_wall_clock(tmp_path
     with (tmp_path / "x.mcap").open("rb") as stream:
         found = [(channel.topic, message) for _, channel, message in make_reader(stream).iter_messages()]
     times = [message.log_time for _, message in found]
-    assert times == sorted(times)
-    assert times[0] == WEAK.started_ns
+    assert (times, times[0]) == (sorted(times), WEAK.started_ns)
     rates = [json.loads(message.data) for topic, message in found if topic == "/body_rate"]
     assert np.array_equal([list(one.values()) for one in rates], WEAK["body_rate"].values)
     assert list(rates[0]) == ["roll", "pitch", "yaw"]

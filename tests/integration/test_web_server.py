@@ -140,8 +140,7 @@ def test_the_server_is_started_again_and_the_daemon_only_says_so() -> None:
         wait_for(lambda: process.look(now())[0])
         wait_for(lambda: process.look(now()) and len(lines) == 2, "it says that it serves again")
         assert "its process ended (exit code -9); it is started again, the watch goes on" in lines[0]
-        assert lines[1] == f"web page: http://127.0.0.1:{port}/ is served again"
-        assert asked(port).status == 200
+        assert (lines[1], asked(port).status) == (f"web page: http://127.0.0.1:{port}/ is served again", 200)
     finally:
         process.close()
 
@@ -229,8 +228,7 @@ def test_an_alert_of_the_daemon_reaches_a_web_server(server: Server) -> None:
         wait_for(lambda: len(server.bodies) >= 3)
     lines = [json.loads(body) for body in server.bodies]
     assert {"opened", "text"} <= {line["kind"] for line in lines}
-    assert {line["vehicle"] for line in lines} == {1}
-    assert server.kinds == {"application/json"}
+    assert ({line["vehicle"] for line in lines}, server.kinds) == ({1}, {"application/json"})
     assert (hook.lost, said) == (0, [])
 
 

@@ -273,8 +273,7 @@ def test_unsigned_and_mavlink_1_are_refused_with_a_key() -> None:
     unknown = bytearray(plain)
     unknown[7:10] = b"\xff\xff\xff"
     assert heard(decoder, plain, old, bytes(unknown)) == []
-    assert signing.refused == {Refusal.UNSIGNED: 2, Refusal.MAVLINK_1: 1}
-    assert decoder.senders == {}
+    assert (signing.refused, decoder.senders) == ({Refusal.UNSIGNED: 2, Refusal.MAVLINK_1: 1}, {})
     assert len(heard(decoder, unsigned)) == 1
 
 
@@ -282,8 +281,7 @@ def test_a_replayed_copy_of_a_signed_frame_is_refused_and_not_passed_on() -> Non
     genuine, passed = beats(3, Signing(KEY, stamp=NOW)), list[tuple[bytes, int]]()
     decoder = Decoder(signing=(signing := Signing(KEY, stamp=NOW)), passed=passed)
     assert len(heard(decoder, *genuine, genuine[2], genuine[0])) == 3
-    assert passed == [(frame, 0) for frame in genuine]
-    assert signing.refused == {Refusal.REPLAYED: 2}
+    assert (passed, signing.refused) == ([(frame, 0) for frame in genuine], {Refusal.REPLAYED: 2})
 
 
 def test_each_stream_has_its_own_stamps_and_a_new_one_older_than_a_minute_is_stale() -> None:
@@ -291,8 +289,7 @@ def test_each_stream_has_its_own_stamps_and_a_new_one_older_than_a_minute_is_sta
     late = NOW - STALE // 2
     assert len(heard(decoder, *beats(5, Signing(KEY, stamp=NOW)))) == 5
     assert len(heard(decoder, *beats(10, Signing(KEY, link_id=1, stamp=late)))) == 5  # of which it heard five already
-    assert heard(decoder, *beats(5, Signing(KEY, stamp=late))) == []
-    assert signing.refused == {Refusal.REPLAYED: 5}
+    assert (heard(decoder, *beats(5, Signing(KEY, stamp=late))), signing.refused) == ([], {Refusal.REPLAYED: 5})
     assert heard(decoder, *beats(3, Signing(KEY, stamp=NOW - STALE - 10), compid=2)) == []
     assert signing.refused[Refusal.STALE] == 3
     assert len(heard(decoder, *beats(3, Signing(KEY, stamp=signing.stamp - STALE), compid=3))) == 3

@@ -231,15 +231,13 @@ def sent(change: Change) -> Telemetry:
 
 def test_more_motors_are_another_vehicle() -> None:
     found = compared(sent(lambda outputs: np.hstack((outputs, outputs[:, :2]))))
-    assert found.differing == ("6 motors (learnt 4)",)
-    assert found.outcome is Outcome.FAR
+    assert (found.differing, found.outcome) == (("6 motors (learnt 4)",), Outcome.FAR)
     behind = sent(lambda outputs: np.hstack((outputs, 0.0 * outputs, outputs[:, :3])))  # that judging does not take
     assert compared(behind).outcome is Outcome.ALIKE
 
 
 @pytest.mark.parametrize("order", [(3, 2, 1, 0), (1, 0, 2, 3), (3, 1, 2, 0), (4, 5, 6, 7)])
 def test_motors_on_other_outputs_are_another_vehicle_and_no_fault(order: tuple[int, ...]) -> None:
-    """Two that changed places were told as a fault of one of them; no damage turns what the outputs follow."""
     found = judge(logged(sent(lambda outputs: outputs @ np.eye(8)[list(order)])), whole())
     assert (found.verdict, "outputs wired otherwise" in found.reason) == (Verdict.NOT_JUDGEABLE, True)
 

@@ -256,8 +256,7 @@ def test_modes_and_sticks_are_read_from_the_autopilots_own_frames() -> None:
     assert mode_in(frames) == LOITER
     where = {(MessageId.MANUAL_CONTROL, "y"): -1000, (MessageId.MANUAL_CONTROL, "z"): 1000}
     where |= {(RC, f"chan{n}_raw"): at for n, at in enumerate((1100, 1500, 1910, 1501), 1)}  # what is lost stays
-    assert sticks_in(frames[:5]) == where
-    assert sticks_in(frames[5:]) == {}
+    assert (sticks_in(frames[:5]), sticks_in(frames[5:])) == (where, {})
 
 
 @pytest.mark.parametrize(
@@ -384,12 +383,10 @@ def test_a_suspicion_waits_a_second_and_is_dropped_for_a_fault() -> None:
     assert [say(presenter, at_s, suspicion) for at_s in (0.0, 0.5, 0.9)] == [[], [], []]
     assert [say(presenter, at_s, suspicion) for at_s in (1.0, 1.1)] == [said, []]
     presenter = Presenter()
-    assert say(presenter, 0.0, suspicion) == []
-    assert say(presenter, 0.1, FAULT) == [FAULT.effect]
+    assert (say(presenter, 0.0, suspicion), say(presenter, 0.1, FAULT)) == ([], [FAULT.effect])
     assert say(presenter, 2.0) == []
     presenter = Presenter()  # what is over before, as at a landing, is said all the same
-    assert say(presenter, 0.0, suspicion) == []
-    assert say(presenter, 0.1) == said
+    assert (say(presenter, 0.0, suspicion), say(presenter, 0.1)) == ([], said)
 
 
 @pytest.mark.parametrize(

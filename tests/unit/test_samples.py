@@ -417,11 +417,9 @@ def test_a_clock_that_was_set_is_followed_when_the_old_one_is_silent_for_a_secon
 def test_a_clock_that_is_set_back_begins_another_piece_once_it_is_past_the_highest_stamp(
     back_ms: int, size: int
 ) -> None:
-    """Without it the time that was lost showed as a leap of the vehicle, which ended as a fault."""
-    raw, host = stream()
+    (raw, host), first = stream(), 500 + back_ms // 10
     raw[500:] -= back_ms
     time, (t_ns,) = taken((MS_32, raw, host), size=size)
-    first = 500 + back_ms // 10
     assert 1.0 <= (t_ns[first] - t_ns[499]) / S < 1.1
     assert (np.diff(t_ns[first:]) == 10 * MS).all()
     assert (time.reboots, t_ns[:500].tolist()) == (0, (raw[:500] * MS).tolist())

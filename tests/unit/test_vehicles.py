@@ -162,8 +162,7 @@ def attitudes(sender: Sender, n: int) -> list[tuple[bytes, int]]:
 
 def test_the_rates_of_attitude_are_read_only_where_no_imu_message_comes_for_long_and_only_until_one_comes() -> None:
     decoder, sender = LinkDecoder(), Sender()
-    assert run(decoder, attitudes(sender, 290)) == 0
-    assert decoder.vehicles[1].profile.imu == MessageId.RAW_IMU
+    assert (run(decoder, attitudes(sender, 290)), decoder.vehicles[1].profile.imu) == (0, MessageId.RAW_IMU)
     sender, decoder = Sender(), LinkDecoder()
     rows = attitudes(sender, 400)
     assert run(decoder, rows[:-1]) == pytest.approx(100, abs=12)
@@ -178,10 +177,8 @@ def test_the_rates_of_attitude_are_read_only_where_no_imu_message_comes_for_long
 
 @pytest.mark.parametrize(("imu", "more"), [(MessageId.SCALED_IMU2, ()), (MessageId.RAW_IMU, (0, 0, 0, 1))])
 def test_another_gyro_is_read_once_the_first_has_stopped(imu: MessageId, more: tuple[int, ...]) -> None:
-    """Of another message, or another sensor of the same: the detector had no gyro for the rest of the flight."""
     decoder, sender = LinkDecoder(), Sender()
-    assert run(decoder, sender.chunks(300)) == 300
-    assert run(decoder, sender.chunks(300, imu, *more)) == 0
+    assert (run(decoder, sender.chunks(300)), run(decoder, sender.chunks(300, imu, *more))) == (300, 0)
     assert run(decoder, sender.chunks(200, imu, *more)) > 190
     assert (decoder.vehicles[1].profile.imu, decoder.vehicles[1].sensor) == (imu, sum(more))
 
@@ -260,8 +257,7 @@ def test_a_careful_decoder_wants_two_heartbeats_of_one_sender() -> None:
         chunks = sender.chunks(100)
         link.feed(as_columns(chunks, [HERE] * len(chunks)), chunks[-1][1])
         assert bool(link.vehicles) is (k > 0)
-    assert link.source(1) == HERE
-    assert link.sources_since(2 * S) == [HERE]
+    assert (link.source(1), link.sources_since(2 * S)) == (HERE, [HERE])
     assert link.sources_since(30 * S) == []
 
 
@@ -365,8 +361,7 @@ def test_on_a_link_only_a_multirotor_enters(careful: bool) -> None:
     decoder.feed(as_columns([(wrong, 0)]), 0)
     for t_us, frame in sorted([*stream(11, sysid=1, n=600), *stream(2, sysid=7, n=600)], key=lambda one: one[0]):
         decoder.feed(as_columns([(frame, 1_000 * t_us)]), 1_000 * t_us)
-    assert list(decoder.vehicles) == [7]
-    assert decoder.waiting == {1: BOAT}
+    assert (list(decoder.vehicles), decoder.waiting) == ([7], {1: BOAT})
 
 
 def series(signal: Signal, t_s: FloatArray, values: FloatArray, late_s: float = 0.0) -> Series:
