@@ -20,10 +20,10 @@ it, and say why. Samples are looked at in order of arrival, so that a log and a 
 import math
 from collections.abc import Iterable, Sequence
 from enum import StrEnum
-from typing import NamedTuple
+from typing import Annotated, NamedTuple, TypeAlias
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 
 from mavdiag.jit import cached_loop, inline, jit
 from mavdiag.rows.grid import median_step
@@ -88,6 +88,7 @@ class Doubt(StrEnum):
 
 
 DOUBTS = (None, *Doubt)  # by the code that rows carry
+NotNegative: TypeAlias = Annotated[float, Field(ge=0)]
 
 
 class Habit(BaseModel):
@@ -104,11 +105,11 @@ class Habit(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     signal: Signal
-    period_s: float
-    pause_s: float
-    leap: tuple[float, ...]
-    quiet: tuple[float, ...]
-    still: tuple[int, ...]
+    period_s: Annotated[float, Field(gt=0)]
+    pause_s: NotNegative
+    leap: Annotated[tuple[NotNegative, ...], Field(min_length=1)]
+    quiet: Annotated[tuple[NotNegative, ...], Field(min_length=1)]
+    still: Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(min_length=1)]
     lowest: float
     leads: tuple[bool, ...] = ()
 
@@ -146,8 +147,8 @@ class LinkQuality(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     habits: tuple[Habit, ...] = ()
-    jitter: float = 0.0
-    resolution_rad_s: float = 0.0
+    jitter: NotNegative = 0.0
+    resolution_rad_s: NotNegative = 0.0
 
     def rule(self, signal: Signal, columns: int, taken: Sequence[int] | None = None) -> FloatArray:
         """What is believed of a signal: `GYRO` and its fellows, then `Habit.limits`; 0 where nothing was learnt.
