@@ -74,10 +74,10 @@ K0, K1, PRIOR, MODEL, OWN, ORDER, OF_PAR = range(7)
 HEAD = CHANNELS + 3 * 6
 # Of a rotor: what makes of products the mean square along its arm, and across it; of correlations its S.
 ALONG, ACROSS, SIGNS, OF_ROTOR = 0, 3, 6, 9
-# Places in the memory: rows until the next sample; samples so far, and known ones in a row; the last heave and thrust,
+# Places in the memory: rows until the next sample; samples so far, known ones in a row, in all; last heave and thrust,
 # and their means; of each channel r, n, the means of r, of the squared command, of n squared, the last simulated value,
 # means of it and of its slope, and of their 5 products; then the models' past, and the two windows.
-WAIT, SEEN, RUN, HEAVE, LEVELS, STATES = 0, 1, 2, 3, 5, 7
+WAIT, SEEN, RUN, TOLD, HEAVE, LEVELS, STATES = 0, 1, 2, 3, 4, 6, 8
 R, N, SLOW, BUSY, UNREST, SIMULATED, TREND, PRODUCTS, OF_STATE = 0, 1, 2, 3, 4, 5, 6, 8, 13
 PASTS = STATES + 3 * OF_STATE
 
@@ -147,7 +147,7 @@ def _channel(par: Floats, mem: Floats, i: int, command: float, measured: float, 
     r = 0.0  # what is not known is not unexplained
     if known:
         r = measured - f
-        state[SLOW] = state[SLOW] + drift * (r - state[SLOW]) if math.isfinite(state[SLOW]) else r
+        state[SLOW] += max(drift, 1.0 / (mem[TOLD] + 1.0)) * (r - state[SLOW])  # at first the mean so far
         r -= state[SLOW]
     if par[FOLLOWS] > 0.5:  # what the errors of gain and speed, as known before this sample, explain of it
         df, prior = (f - state[SIMULATED]) * par[SPEED], own[PRIOR]
@@ -197,7 +197,7 @@ def _sample(par: Floats, mem: Floats, x: Floats, i: int) -> bool:
     _channel(par, mem, 0, u0, y0, u0, known)
     _channel(par, mem, 1, u1, y1, u1, known)
     _channel(par, mem, 2, pushed, lift, slope, known)
-    mem[SEEN] += 1.0
+    mem[SEEN], mem[TOLD] = mem[SEEN] + 1.0, mem[TOLD] + known
     return known and (known_thrust or par[BY_THRUST] < 0.5)
 
 
@@ -356,7 +356,7 @@ def _begin(
     mean = np.zeros(mean_size(window, 6))
     mean[FRESH + 6 : FRESH + 12], mean[FRESH + 12 :] = window * np.array(HEALTHY), np.repeat(HEALTHY, window)
     before = np.zeros(past)
-    before[STATES + SLOW : PASTS : OF_STATE], before[STATES + UNREST : PASTS : OF_STATE] = np.nan, 1.0
+    before[STATES + UNREST : PASTS : OF_STATE] = 1.0
     return Begin(np.array(par), np.concatenate((before, mean, np.zeros(mean_size(least, 3)))), len(taps) - 1)
 
 
