@@ -100,10 +100,10 @@ def _finish(mem: FloatArray, values: FloatArray, k: int) -> None:
         if not sharpest >= step and math.isfinite(step):
             sharpest = step
         mem[EDGE + j] = mem[NEWEST + j]
-    values[k, 3] = sharpest
+    values[k, 3], values[k, 4] = sharpest, step
     turning = abs(mem[at + SUMS + 3] / mem[at + COUNTS + 3]) if known else math.nan
-    values[k, 4] = min(turning, most) if most >= 0.0 and math.isfinite(turning) else turning
-    values[k, 5] = mem[at + LOW] if known else math.nan
+    values[k, 5] = min(turning, most) if most >= 0.0 and math.isfinite(turning) else turning
+    values[k, 6] = mem[at + LOW] if known else math.nan
     mem[EDGE + 3] = heading
 
 

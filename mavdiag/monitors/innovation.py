@@ -123,7 +123,7 @@ class Innovation(Monitor[InnovationSpec]):
     observes = "motion that is predicted badly one step ahead"
     phrase = "attitude unlike the model"
     needs = frozenset({Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT})
-    depends = frozenset({Condition.YAW_RATE, Condition.HEIGHT, Condition.THROTTLE, Condition.COMMANDED_ACCELERATION})
+    depends = frozenset(Condition) - {Condition.TILT, Condition.COMMANDED_RATE}
     least_hz = 20.0  # below it a step ahead is too far to predict a rate (our choice)
     why_hz = "a one-step prediction needs {:.0f} Hz"
     by_rates = True

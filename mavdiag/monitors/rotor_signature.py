@@ -292,7 +292,7 @@ class RotorSignature(Monitor[RotorSignatureSpec]):
     phrase = "thrust unsteady {times}x"
     needs = frozenset({Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT, Signal.SPECIFIC_FORCE, Signal.THRUST_SETPOINT})
     # Throttle: a battery that empties takes gain from what moves the vehicle, and more is commanded.
-    depends = frozenset(Condition) - {Condition.TILT}
+    depends = frozenset(Condition) - {Condition.TILT, Condition.YAW_ACCELERATION}
     # A jolt that is no fault (a payload taken up beside the centre) reaches 3.1 in emulated flights, which few healthy
     # flights show (our choice).
     least = 3.5

@@ -47,6 +47,7 @@ RULES: dict[Condition, _Rule] = {
     Condition.THROTTLE: _Rule("both", 0.25, "", "fly with payload, and with a battery that empties"),
     Condition.COMMANDED_RATE: _Rule("upper", 0.3, "rad/s", "fly sharper turns and stops", 1.0),
     Condition.COMMANDED_ACCELERATION: _Rule("upper", 5.0, "rad/s^2", "fly sharper turns and stops", 1.0),
+    Condition.YAW_ACCELERATION: _Rule("upper", 0.1, "rad/s^2", "turn the nose, steadily and along the path", 1.0),
     Condition.YAW_RATE: _Rule("upper", 0.15, "rad/s", "turn the nose, steadily and along the path"),
     Condition.HEIGHT: _Rule("lower", 0.5, "m", "fly as low as it is to be judged"),
 }

@@ -372,6 +372,7 @@ def test_the_conditions_of_a_steady_flight_are_those_that_were_flown() -> None:
     accelerated = settled[:, list(Condition).index(Condition.COMMANDED_ACCELERATION)]
     assert np.median(accelerated) == pytest.approx(0.5 * math.cos(0.3) * 0.4, rel=0.02)  # of the pitch, as it rolls
     assert 4.0 < accelerated.max() < 0.8 / 0.1  # where the roll command turns round
+    assert settled[:, list(Condition).index(Condition.YAW_ACCELERATION)].max() < 0.05  # of the heading's rate, leaning
 
 
 def test_after_a_step_of_the_heading_the_gyro_tells_for_two_seconds() -> None:
