@@ -181,9 +181,13 @@ def test_another_gyro_is_read_once_the_first_has_stopped(imu: MessageId, more: t
     """Of another message, or another sensor of the same: the detector had no gyro for the rest of the flight."""
     decoder, sender = LinkDecoder(), Sender()
     assert run(decoder, sender.chunks(300)) == 300
+    run(decoder, sender.chunks(1, imu, *more))
+    sender.k += 400  # an outage of the link has stopped none of them
+    assert [run(decoder, sender.chunks(1, imu, *more)), run(decoder, sender.chunks(100))] == [0, 100]
     assert run(decoder, sender.chunks(300, imu, *more)) == 0
     assert run(decoder, sender.chunks(200, imu, *more)) > 190
     assert (decoder.vehicles[1].profile.imu, decoder.vehicles[1].sensor) == (imu, sum(more))
+    assert run(decoder, sender.chunks(200)) == 0  # the two are never mixed
 
 
 def told(encoder: Encoder, name: str, number: float, kind: int = REAL32) -> bytes:
