@@ -284,11 +284,17 @@ def _trim_differs(shift: FloatArray, spread: FloatArray, layout: RotorLayout | N
 
 
 def _without_rotor(shift: FloatArray, spread: FloatArray, layout: RotorLayout) -> tuple[float, FloatArray]:
-    """The rise of one rotor, not below 0, that explains a shift of the trim best, and what it leaves of it, (3,)."""
-    rise = np.maximum(rises(shift[None], layout, spread)[0], 0.0)
-    rests = shift[:, None] - layout.unmixing * rise
-    best = int(np.linalg.norm(rests / spread[:, None], axis=0).argmin())
-    return float(rise[best]), rests[:, best]
+    """The rise of one rotor, not below 0, that explains a shift of the trim best, and what it leaves of it, (3,).
+
+    In yaw it is that or less, either way: a cut propeller loses drag as it loses thrust, a damaged one may gain drag.
+    """
+    C = layout.unmixing
+    level = shift[:2] @ C[:2] / np.square(C[:2]).sum(axis=0)
+    rise = np.maximum([rises(shift[None], layout, spread)[0], level], 0.0)  # (2, rotors)
+    yaw = np.clip(shift[2], -rise * np.abs(C[2]), rise * np.abs(C[2]))
+    rests = shift[:, None, None] - np.concatenate((rise * C[:2, None], yaw[None]))  # (3, 2, rotors)
+    best = np.unravel_index(np.linalg.norm(rests / spread[:, None, None], axis=0).argmin(), rise.shape)
+    return float(rise[best]), rests[:, *best]
 
 
 def joined(flight: Sequence[Rows]) -> list[Block]:
