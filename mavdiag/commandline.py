@@ -37,7 +37,7 @@ class _Command(TyperCommand):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         for before, value in pairwise(["", *args]):
-            if not value or (value.startswith("--") and value.endswith("=")):
+            if not value or (value.startswith("--") and value.partition("=")[1:] == ("=", "")):
                 ctx.fail(f"an empty value behind {value or before or 'the command'}: give one, or leave it out")
         return super().parse_args(ctx, args)
 

@@ -32,6 +32,7 @@ MIN_EXPLAINED = 0.1  # share of the outputs' changes that the drivers must expla
 MIN_F = 10.0  # F value above which a driver counts as excited, and an output as a motor (our choice)
 CONTRARY = 0.5  # a weak driver, such as yaw in straight flight, may read -0.3 of the right layout (our choice)
 MIN_LIKENESS = 0.85  # below it no layout is named; x and plus are 0.71 like each other (our choice)
+CLEAR = 0.95  # of both axes: a damaged rotor shows 0.87 of another order at most (emulated hexarotor; our choice)
 MAX_MISFIT = 0.5  # and 1 - likeness must be less than this share of the next layout's (our choice)
 MAX_TOGETHER = 10.0  # variance inflation factor above which drivers are not told apart (a textbooks' rule of thumb)
 MIN_GAP = 4.0  # how many times more the least of the motors must follow than any output left out (our choice)
@@ -90,19 +91,39 @@ def detect_layout(
     return found
 
 
-def wiring(block: Block, layout: RotorLayout) -> FloatArray:
-    """(2, 2) cosines of what roll and pitch do to the outputs of the rotors with what the layout says, and their F.
+def wiring(block: Block, layout: RotorLayout, outputs: int) -> FloatArray:
+    """(2, outputs) what roll and pitch do to each of the first outputs, of length F; of several blocks it adds up.
 
-    F adds up over blocks; a cosine counts from `MIN_F` on. Another order of the outputs brings one of them down to 0 or
-    below, for a quadrotor; they are 0 where only others move.
+    Where none of the rotors' outputs moves it is done to others.
     """
-    motors, moving = range(layout.rotors), moving_outputs([block])
-    if len(moving) >= FEWEST and not set(moving) & set(motors):
-        return np.array([[0.0, 0.0], [MIN_F, MIN_F]])
-    fit = _fit([block], motors, (0, 2)) if moving else None  # judging may leave out the rates' set-points
-    if fit is None or fit.explained < MIN_EXPLAINED:
-        return np.zeros((2, 2))
-    return np.stack((_cosines(fit, layout)[:2], fit.F[:2]))
+    found, motors = np.zeros((2, outputs)), list(range(layout.rotors))
+    moving = [column for column in moving_outputs([block]) if column < outputs]
+    columns = motors if set(moving) & set(motors) or len(moving) < FEWEST else moving
+    fit = _fit([block], columns, (0, 2)) if moving else None  # judging may leave out the rates' set-points
+    if fit is not None and fit.explained >= MIN_EXPLAINED:
+        effects = fit.effects[:2]
+        found[:, columns] = effects * (fit.F[:2] / np.maximum(np.linalg.norm(effects, axis=1), TINY))[:, None]
+    return found
+
+
+def wired(effects: FloatArray, layout: RotorLayout) -> FloatArray:
+    """(2,) cosines of what roll and pitch do to the outputs, as of `wiring`, with what the layout says.
+
+    NaN where one of them is not excited, and where neither the layout nor another order of the outputs explains both
+    clearly (`CLEAR`): beside a damaged rotor the autopilot answers what it feels, whatever it sends out.
+    """
+    sizes, B = np.linalg.norm(effects, axis=1), layout.mixing[:, :2].T
+    if sizes.min() < MIN_F:
+        return np.full(2, np.nan)
+    effects, B = effects / sizes[:, None], B / np.linalg.norm(B, axis=1)[:, None]
+    own = np.einsum("kr,kr->k", effects[:, : layout.rotors], B)
+    if own.min() < CLEAR:
+        from scipy.optimize import linear_sum_assignment
+
+        places, rotors = linear_sum_assignment(-(effects.T @ B))
+        if np.einsum("kr,kr->k", effects[:, places], B[:, rotors]).min() < CLEAR:
+            return np.full(2, np.nan)
+    return np.asarray(own, dtype=np.float64)
 
 
 def contradicts(finding: LayoutFinding, layout: RotorLayout) -> str:
@@ -277,13 +298,10 @@ def _named(candidates: Sequence[RotorLayout], fit: _Fit) -> LayoutFinding:
     return LayoutFinding(ranked[0][1], f"found from outputs and {fit.driver} ({scores}){unseen}", likeness)
 
 
-def _cosines(fit: _Fit, layout: RotorLayout) -> FloatArray:
-    sizes = np.linalg.norm(fit.effects, axis=1) * np.linalg.norm(layout.mixing, axis=0)
-    return np.asarray(np.einsum("kr,rk->k", fit.effects, layout.mixing) / np.maximum(sizes, TINY))
-
-
 def _likeness(fit: _Fit, layout: RotorLayout) -> float:
-    size, cosines, excited = np.linalg.norm(fit.effects, axis=1), _cosines(fit, layout), fit.F >= MIN_F
+    size, B = np.linalg.norm(fit.effects, axis=1), layout.mixing
+    cosines = np.einsum("kr,rk->k", fit.effects, B) / np.maximum(size * np.linalg.norm(B, axis=0), TINY)
+    excited = fit.F >= MIN_F
     lowest = float(cosines[excited].min())
     return lowest if lowest < 0 else float(np.average(cosines[excited], weights=np.square(size[excited])))
 

@@ -17,7 +17,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from mavdiag.airframe.airframe import UNNAMED
-from mavdiag.airframe.detect import MIN_F, wiring
+from mavdiag.airframe.detect import wired, wiring
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.airframe.trim import LEVEL_RATIO, MIN_OUTPUT, rises, shown_trim
 from mavdiag.errors import InputError
@@ -87,7 +87,7 @@ TRAITS = (
     *(Trait(f"hover {what}", 0.03, math.log(1.15), math.log(1.4), _1_5) for what in ("throttle", "output")),
     # outputs that move like motors, whatever the layout; one that hangs follows no command
     Trait("motors", 0.1, OTHER_MOTORS, OTHER_MOTORS, far_high=OTHER_MOTORS, log=False),
-    # how far roll and pitch move the outputs as the layout says, -1..1; the gravest emulated damage takes 0.3 of it
+    # how far roll and pitch move the outputs as the layout says, -1..1, where any order of them fits (`detect.wired`)
     *(Trait(name, 0.05, far_low=0.65, log=False) for name in WIRED),
 )
 TRIM, NOISE = slice(0, 3), slice(3, 9)
@@ -149,8 +149,8 @@ def fingerprint_of(flights: Sequence[Sequence[Rows]], layout: RotorLayout | None
     found, varied = [], []
     for flight in flights:
         parts = [_shown(part, layout) for part in _parts(flight)]
-        found.append(_figures(parts) if parts else traits(joined(flight), layout))
-        varied.append(np.array([_figures([part]) for part in parts]).reshape(-1, len(TRAITS)))
+        found.append(_figures(parts, layout) if parts else traits(joined(flight), layout))
+        varied.append(np.array([_figures([part], layout) for part in parts]).reshape(-1, len(TRAITS)))
     figures = []
     for i, (trait, column) in enumerate(zip(TRAITS, np.array(found).T, strict=True)):
         known = column[np.isfinite(column)]
@@ -192,7 +192,7 @@ class _Shown(NamedTuple):
     thrust: FloatArray  # of calm rows
     levels: FloatArray  # the motors' mean outputs in them, where no thrust and the layout are known
     outputs: FloatArray  # (outputs, n) that are known
-    wired: FloatArray  # (2, 2) as of `wiring`
+    wires: FloatArray  # as of `wiring`
 
 
 class Beginning:
@@ -231,7 +231,8 @@ class Beginning:
         motors: only these count: how many there are, and on which outputs.
         """
         figures = (one for one in self._learnt.figures if one.name in MOTORS or not motors)
-        return _compared(_figures(self._seen()), {one.name: (one.mean, one.spread) for one in figures}, self._layout)
+        learnt = {one.name: (one.mean, one.spread) for one in figures}
+        return _compared(_figures(self._seen(), self._layout), learnt, self._layout)
 
     def _keep(self, rows: Rows) -> None:
         block = rows.block
@@ -283,11 +284,17 @@ def _trim_differs(shift: FloatArray, spread: FloatArray, layout: RotorLayout | N
 
 
 def _without_rotor(shift: FloatArray, spread: FloatArray, layout: RotorLayout) -> tuple[float, FloatArray]:
-    """The rise of one rotor, not below 0, that explains a shift of the trim best, and what it leaves of it, (3,)."""
-    rise = np.maximum(rises(shift[None], layout, spread)[0], 0.0)
-    rests = shift[:, None] - layout.unmixing * rise
-    best = int(np.linalg.norm(rests / spread[:, None], axis=0).argmin())
-    return float(rise[best]), rests[:, best]
+    """The rise of one rotor, not below 0, that explains a shift of the trim best, and what it leaves of it, (3,).
+
+    In yaw it is that or less, either way: a cut propeller loses drag as it loses thrust, a damaged one may gain drag.
+    """
+    C = layout.unmixing
+    level = shift[:2] @ C[:2] / np.square(C[:2]).sum(axis=0)
+    rise = np.maximum([rises(shift[None], layout, spread)[0], level], 0.0)  # (2, rotors)
+    yaw = np.clip(shift[2], -rise * np.abs(C[2]), rise * np.abs(C[2]))
+    rests = shift[:, None, None] - np.concatenate((rise * C[:2, None], yaw[None]))  # (3, 2, rotors)
+    best = np.unravel_index(np.linalg.norm(rests / spread[:, None, None], axis=0).argmin(), rise.shape)
+    return float(rise[best]), rests[:, *best]
 
 
 def joined(flight: Sequence[Rows]) -> list[Block]:
@@ -326,14 +333,14 @@ def _parts(flight: Sequence[Rows]) -> Iterator[Block]:
 
 def traits(blocks: Iterable[Block], layout: RotorLayout | None) -> FloatArray:
     """The figures of a flight, (len(TRAITS),), NaN where it does not show them. layout: None if it is not known."""
-    return _figures([_shown(block, layout) for block in blocks])
+    return _figures([_shown(block, layout) for block in blocks], layout)
 
 
 def _shown(block: Block, layout: RotorLayout | None) -> _Shown:
     calm, window, trim = _calm(block), window_rows(TRIM_S, block.dt_s), np.empty((0, 3))
-    levels, wired, width = np.empty(0), np.zeros((2, 2)), block.actuator.shape[1]
+    levels, wires, width = np.empty(0), np.zeros((2, LEAST_OUTPUTS)), block.actuator.shape[1]
     if layout is not None:
-        wired = wiring(block, layout)
+        wires = wiring(block, layout, max(layout.rotors, LEAST_OUTPUTS))
         values, known = shown_trim(block, layout)
         starts = np.flatnonzero(window_all(known & calm, window))[:: max(1, window // 4)]
         trim = means_from(values.T, starts, window).T
@@ -342,12 +349,11 @@ def _shown(block: Block, layout: RotorLayout | None) -> _Shown:
     gyro, felt = (_bends(values.T, block.valid, block.dt_s) for values in (block.rate, block.force))
     own = slice(None if layout is None else max(layout.rotors, LEAST_OUTPUTS))  # what judging takes (`chain.front_of`)
     outputs = np.compress(block.known(Signal.ACTUATOR, own) & block.valid, block.actuator.T[own], axis=1)
-    return _Shown(trim, gyro, felt, block.thrust[calm], levels, outputs, wired)
+    return _Shown(trim, gyro, felt, block.thrust[calm], levels, outputs, wires)
 
 
-def _figures(shown: Sequence[_Shown]) -> FloatArray:
+def _figures(shown: Sequence[_Shown], layout: RotorLayout | None) -> FloatArray:
     trim = np.concatenate([np.empty((0, 3)), *(one.trim for one in shown)])
-    cosines, F = np.array([one.wired for one in shown]).reshape(-1, 2, 2).swapaxes(0, 1)
     return np.array(
         [
             *(np.median(trim, axis=0) if len(trim) else np.full(3, np.nan)),
@@ -356,7 +362,7 @@ def _figures(shown: Sequence[_Shown]) -> FloatArray:
             _level([one.thrust for one in shown]),
             _level([one.levels for one in shown]),
             _motors([one.outputs for one in shown]),
-            *np.where(F.sum(axis=0) >= MIN_F, (cosines * F).sum(axis=0) / np.maximum(F.sum(axis=0), MIN_F), np.nan),
+            *(wired(np.sum([one.wires for one in shown], axis=0), layout) if layout and shown else (np.nan, np.nan)),
         ]
     )
 

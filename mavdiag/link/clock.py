@@ -3,7 +3,8 @@
 Counters are milliseconds or microseconds since boot, in 32 bits (a turn is 49.7 days or 71.6 minutes) or 64, or
 microseconds since 1970. The receiver's clock decides between a wrap, a reboot and a leap; it never adds its jitter to a
 stamp. What is out of line is left out until others follow it. A clock that is set back repeats stamps; once it passes
-the highest one again the receiver's clock shows how much time was lost, and what follows is a piece of its own.
+the highest one again the receiver's clock shows how much time was lost, and what follows is a piece of its own. All of
+the stamps must show it: of a burst that a link delays and reorders, those that come last are hardly late.
 
 Clocks. The first stamped message's clock is the timeline; the others are laid over it. A message stamped c arrives at
 h = c + origin + delay, delay >= 0: the least h - c of a window, the clock's lead, is its origin to within the least
@@ -82,8 +83,11 @@ def _integers(names: str, *others: tuple[str, Any, Any]) -> np.dtype[np.void]:
 # Where one message's counter stands: the message plus one, 0 for none; whether it has begun; highest count so far, with
 # its turns; when it was last received in line; the most that it was ahead of the receiver's clock, which drift takes
 # back slowly; the other clock that its latest samples show, with how many in a row agree on it; and how many samples
-# since the highest count were behind it, one after the other in their order, the last of them, and when it was reached.
-_READING = _integers("msgid used count host_ns line_ns rival_ns rival_host_ns rivals behind behind_ns high_host_ns")
+# since the highest count were behind it, one after the other in their order, the last of them, when it was reached, and
+# how much time these samples all say was lost since.
+_READING = _integers(
+    "msgid used count host_ns line_ns rival_ns rival_host_ns rivals behind behind_ns high_host_ns lost_ns"
+)
 # How far the receiver's clock leads one of the vehicle's: whether it was seen, in which second first, with which lead,
 # and in which last; and the latest seconds in which it was seen, each at its place modulo `SECONDS`, with their least
 # leads.
@@ -247,12 +251,13 @@ def _unwrapped(mem: Fields, reading: Fields, tick: int, turn: int, raw: int, now
     if (clock_ns >= EPOCH_NS) != (reading.count * tick >= EPOCH_NS):
         return _BROKEN_OFF, clock_ns
     if step < 0:
-        in_order = reading.behind == 0 or clock_ns > reading.behind_ns
-        reading.high_host_ns = reading.host_ns if reading.behind == 0 else reading.high_host_ns
-        reading.behind, reading.behind_ns = reading.behind + 1 if in_order else 1, clock_ns
+        if reading.behind == 0:
+            reading.high_host_ns, reading.lost_ns, reading.behind_ns = reading.host_ns, HIGHEST_NS, NEVER
+        reading.lost_ns = min(reading.lost_ns, now_ns - reading.high_host_ns - step * tick)
+        reading.behind, reading.behind_ns = reading.behind + 1 if clock_ns > reading.behind_ns else 1, clock_ns
     elif step > 0:
-        lost_ns, repeated = now_ns - reading.high_host_ns - step * tick, reading.behind >= AGREEING
-        reading.behind = 0
+        lost_ns = min(reading.lost_ns, now_ns - reading.high_host_ns - step * tick)
+        repeated, reading.behind = reading.behind >= AGREEING, 0
         if repeated and lost_ns > BACK_NS and step * tick < LEAP_NS:
             return _SET_BACK, clock_ns
     ahead_ns = clock_ns - now_ns + (now_ns >> DRIFT_SHIFT)

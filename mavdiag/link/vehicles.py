@@ -17,6 +17,7 @@ from mavdiag.link.codec import (
     AUTOPILOT,
     MSGIDS,
     NO_FRAMES,
+    ROWS,
     Decoder,
     Frame,
     Frames,
@@ -193,7 +194,7 @@ class VehicleStream:
             merged = {**self.parameters, **told}
             self.parameters = merged if len(merged) <= MOST_PARAMETERS else self.parameters
             self.state.take_parameters(self.parameters)
-        telemetry = self._decoder.step(self.state, frames)
+        telemetry = self._decoder.step(self.state, self._of_sensor(frames) if self.sensor else frames)
         if telemetry.get(Signal.BODY_RATE) is not None:
             self._mute_ns = 0
         elif self._settled and len(others := frames.of(*IMU_MESSAGES, compid=AUTOPILOT)):
@@ -206,12 +207,20 @@ class VehicleStream:
         if not self._mute_ns:
             self._mute_ns, self._imu = first_ns, others.rows[:0]
         self._imu = np.concatenate((self._imu, others.rows))[-CLEAR_FRAMES:]
-        chosen = with_imu(self._own, Frames(others.data, self._imu).counts())
+        counts = Frames(others.data, self._imu).counts()
+        chosen = with_imu(self._own, counts)
         own = others.of(chosen.imu)
-        if last_ns - self._mute_ns > STOPPED_S * NS_PER_S and len(own):
+        silent = last_ns - self._mute_ns > STOPPED_S * NS_PER_S and counts[chosen.imu] >= USEFUL_FRAMES
+        if silent and len(own):
             numbers = own.records(_NUMBERED[chosen.imu])["id"].tolist() if chosen.imu in _NUMBERED else [0]
             self.sensor, self._mute_ns = min(numbers), 0
-            self._decoder = SampleDecoder(chosen, (_of_sensor(row, self.sensor) for row in SOURCES))
+            self._decoder = SampleDecoder(chosen, map(_any_sensor, SOURCES) if self.sensor else SOURCES)
+
+    def _of_sensor(self, frames: Frames) -> Frames:
+        """Without the rows of the IMU message that are another sensor's."""
+        own = frames.rows["row"] == ROWS[self.profile.imu]
+        own[own] = frames.where(own).records(_NUMBERED[self.profile.imu])["id"] != self.sensor
+        return frames.where(~own)
 
     def _choose_imu(self, frames: Frames) -> None:
         self._imu = np.concatenate((self._imu, frames.of(*IMU_MESSAGES, compid=AUTOPILOT).rows))[-CLEAR_FRAMES:]
@@ -229,10 +238,10 @@ class VehicleStream:
         self._settled = counts[chosen.imu] >= USEFUL_FRAMES or (counts[chosen.imu] > 0 and told_s >= CHOICE_S)
 
 
-def _of_sensor(row: Measured, number: int) -> Measured:
-    """A row of the table, of an IMU message that numbers its sensors for this one, once the first is silent."""
-    parts = (replace(part, unless=("id", 0xFF & ~number)) for part in row.parts)
-    return replace(row, parts=tuple(parts)) if number and row.message in _NUMBERED else row
+def _any_sensor(row: Measured) -> Measured:
+    """A row of the table, of an IMU message that numbers its sensors whichever it is."""
+    parts = tuple(replace(part, unless=None) for part in row.parts)
+    return replace(row, parts=parts) if row.message in _NUMBERED else row
 
 
 @dataclass(slots=True)

@@ -5,6 +5,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache, lru_cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from virtual_flight import healthy_flights, taught
 
 import mavdiag as md
 from mavdiag.airframe.airframe import Airframe
+from mavdiag.airframe.fingerprint import Outcome, compare, fingerprint_of
 from mavdiag.airframe.layout import layout_named
 from mavdiag.baseline import Baseline, dump, parse
 from mavdiag.decision.alarm import Stage
@@ -37,6 +39,7 @@ from sitl_plant.autopilot.stream import ImuFilters, _EscFrames, messages_due, re
 from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry
 from sitl_plant.emulator import recorded
 from sitl_plant.options import FlightPlan
+from sitl_plant.physics.faults import Injection, RotorDamage
 from sitl_plant.plant import Plant, PlantConfig, PlantSamples
 from sitl_plant.vehicle import airframe_of, vehicle_named
 
@@ -72,6 +75,19 @@ def test_a_healthy_flight_is_healthy(seed: int) -> None:
 def fly(seed: int, fault: str | None = None, rotor: int = 1, seconds: float = 16.0) -> list[Rows]:
     config = PlantConfig(drone=1, seed=seed, fault=fault, rotor=rotor, wind_m_s=0.5)
     return list(rows_of(FRONT, flight_telemetry(config, seconds)[0]))
+
+
+def test_the_lag_of_a_damaged_rotor_is_no_other_wiring() -> None:
+    front = Front(AlignSpec(0.01, Grid.NATIVE), GateSpec(min_thrust=0.1), RateSpec.of(0.01, 11))
+
+    def flown(**config: Any) -> list[Rows]:
+        link = LinkSpec("ardupilot", 100.0)
+        return list(rows_of(front, flight_telemetry(PlantConfig(**config), 16.0, link)[0]))
+
+    lag = Injection(RotorDamage(thrust_factor=0.9, thrust_lag_s=0.06))
+    learnt, layout = fingerprint_of([flown(seed=1)], QDRONE2.layout), QDRONE2.layout
+    assert learnt is not None
+    assert compare(learnt, flown(seed=77, nose="path", injections=(lag,)), layout).outcome is not Outcome.FAR
 
 
 def test_a_flight_that_turns_its_nose_says_nothing_against_hovers() -> None:

@@ -72,6 +72,7 @@ REFUSED = [
     ("mavdiag history mark --airframe x --repair --at 2999-03-01", "give one from 1970 to 2262"),
     (f"{HISTORY} postgresql://me:secret@127.0.0.1:1/fleet", "Connection refused"),
     (f"{HISTORY} postgresql://me:secret@127.0.0.1:port/fleet", "postgresql"),
+    ("mavdiag history add x.tlog --baseline=none=", "none=: no such file"),
     ("mavdiag history add x --baseline b --at 2026-01-01 --ordered file-time", "both say when"),
     (f"{HISTORY} /etc/passwd", "file is not a database"),
     (f"{HISTORY} /tmp", "/tmp: is a folder"),

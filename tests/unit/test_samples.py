@@ -425,6 +425,13 @@ def test_a_clock_that_is_set_back_begins_another_piece_once_it_is_past_the_highe
     assert (time.reboots, t_ns[:500].tolist()) == (0, (raw[:500] * MS).tolist())
 
 
+def test_a_burst_whose_newest_stamp_comes_first_is_no_clock_that_is_set_back() -> None:
+    raw, host = stream()
+    raw[490:500] = np.roll(raw[490:500], 1)
+    _, (t_ns,) = taken((MS_32, raw, np.repeat(host[9::10], 10)))
+    assert t_ns.tolist() == (raw * MS).tolist()
+
+
 class Link:
     """Two streams of one vehicle over a link with jitter and loss, and the true time of each sample that arrives.
 

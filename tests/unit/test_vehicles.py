@@ -178,9 +178,14 @@ def test_the_rates_of_attitude_are_read_only_where_no_imu_message_comes_for_long
 @pytest.mark.parametrize(("imu", "more"), [(MessageId.SCALED_IMU2, ()), (MessageId.RAW_IMU, (0, 0, 0, 1))])
 def test_another_gyro_is_read_once_the_first_has_stopped(imu: MessageId, more: tuple[int, ...]) -> None:
     decoder, sender = LinkDecoder(), Sender()
-    assert (run(decoder, sender.chunks(300)), run(decoder, sender.chunks(300, imu, *more))) == (300, 0)
+    assert run(decoder, sender.chunks(300)) == 300
+    run(decoder, sender.chunks(1, imu, *more))
+    sender.k += 400  # an outage of the link has stopped none of them
+    assert [run(decoder, sender.chunks(1, imu, *more)), run(decoder, sender.chunks(100))] == [0, 100]
+    assert run(decoder, sender.chunks(300, imu, *more)) == 0
     assert run(decoder, sender.chunks(200, imu, *more)) > 190
     assert (decoder.vehicles[1].profile.imu, decoder.vehicles[1].sensor) == (imu, sum(more))
+    assert run(decoder, sender.chunks(200)) == 0  # the two are never mixed
 
 
 def told(encoder: Encoder, name: str, number: float, kind: int = REAL32) -> bytes:
