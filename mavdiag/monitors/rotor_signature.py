@@ -5,7 +5,7 @@ then grows along one diagonal, in step with the vertical acceleration:
 
     r_roll, r_pitch = y - y_sim                  free run of a closed-loop ARX model on the commanded rate (T 5.5)
     r_heave         = a_z - a_sim                the same on the commanded thrust
-    r  <- r - EMA_1s(r)                          from the first known r on; slow wind and trim are no fault
+    r  <- r - EMA_1s(r)                          in the first 0.2 s the mean; slow wind and trim are no fault
     r  <- r - g f - h df/dt                      f: y_sim without its slow part; g, h follow the last 10 s
     n   = r / sqrt(k0 + k1 EMA_0.35s(u^2))       u: what was commanded; a sharp manoeuvre may leave more (METHOD 4)
     n  <- clip(n, +-4 s)                         s^2 = max(1, EMA_10s(n^2)): a jolt counts little, unrest in full
@@ -54,6 +54,7 @@ CORRELATION_S = 0.1  # residuals this far apart are independent (METHOD section 
 JOLT = 4.0  # of the rms of the last 10 s: what is larger is a jolt, such as a payload that is taken up (our choice)
 SETTLE_S = 1.5  # our choice: the slowest pole that T's models have without their integrator dies out in it
 WINDOW_S = 10.0  # our choice: in wind a correlation over 3 s (METHOD section 4 has 4 s) scatters too much
+START_S = 0.2  # of known r whose mean begins that one: one alone is noise, and a second is a manoeuvre (our choice)
 LEAST_S = 3.0  # of unbroken flight before anything is judged; the level's window (our choice)
 LIKENESS_WEIGHT = 2.0  # exponent of the correlations; 1 and 3 separate faults from wind less well (our choice)
 ORDERS = ((3, 3, 1), (2, 2, 1))  # the rate loop has three poles that count; the second order is what T uses
@@ -76,9 +77,10 @@ HEAD = CHANNELS + 3 * 6
 ALONG, ACROSS, SIGNS, OF_ROTOR = 0, 3, 6, 9
 # Places in the memory: rows until the next sample; samples so far, and known ones in a row; the last heave and thrust,
 # and their means; of each channel r, n, the means of r, of the squared command, of n squared, the last simulated value,
-# means of it and of its slope, and of their 5 products; then the models' past, and the two windows.
+# means of it and of its slope, and of their 5 products, and how many r were known; then the models' past, and the two
+# windows.
 WAIT, SEEN, RUN, HEAVE, LEVELS, STATES = 0, 1, 2, 3, 5, 7
-R, N, SLOW, BUSY, UNREST, SIMULATED, TREND, PRODUCTS, OF_STATE = 0, 1, 2, 3, 4, 5, 6, 8, 13
+R, N, SLOW, BUSY, UNREST, SIMULATED, TREND, PRODUCTS, KNOWN, OF_STATE = 0, 1, 2, 3, 4, 5, 6, 8, 13, 14
 PASTS = STATES + 3 * OF_STATE
 
 
@@ -147,7 +149,9 @@ def _channel(par: Floats, mem: Floats, i: int, command: float, measured: float, 
     r = 0.0  # what is not known is not unexplained
     if known:
         r = measured - f
-        state[SLOW] = state[SLOW] + drift * (r - state[SLOW]) if math.isfinite(state[SLOW]) else r
+        state[KNOWN] += 1.0
+        share = 1.0 / state[KNOWN] if state[KNOWN] * par[PERIOD] < START_S else drift
+        state[SLOW] += share * (r - state[SLOW])
         r -= state[SLOW]
     if par[FOLLOWS] > 0.5:  # what the errors of gain and speed, as known before this sample, explain of it
         df, prior = (f - state[SIMULATED]) * par[SPEED], own[PRIOR]
@@ -356,7 +360,7 @@ def _begin(
     mean = np.zeros(mean_size(window, 6))
     mean[FRESH + 6 : FRESH + 12], mean[FRESH + 12 :] = window * np.array(HEALTHY), np.repeat(HEALTHY, window)
     before = np.zeros(past)
-    before[STATES + SLOW : PASTS : OF_STATE], before[STATES + UNREST : PASTS : OF_STATE] = np.nan, 1.0
+    before[STATES + UNREST : PASTS : OF_STATE] = 1.0
     return Begin(np.array(par), np.concatenate((before, mean, np.zeros(mean_size(least, 3)))), len(taps) - 1)
 
 
