@@ -68,8 +68,7 @@ def test_a_healthy_flight_is_0_and_a_crack_is_1(mavdiag: Any, baseline: Path, he
     assert (code, err) == (0, ""), out
     assert out.startswith(f"{healthy[0]}: healthy, no alarm; judged ")
     code, out, _ = mavdiag("scan", healthy[0], crack, "--baseline", baseline, "--jobs", 1)
-    assert code == 1
-    assert [line.split(": ")[1].split(",")[0] for line in out.splitlines()] == ["healthy", "fault"]
+    assert (code, [line.split(": ")[1].split(",")[0] for line in out.splitlines()]) == (1, ["healthy", "fault"])
     assert "rotor 3" in out.splitlines()[1]
 
 
@@ -162,8 +161,7 @@ def test_a_pool_answers_as_one_process_does_in_order_and_keeps_it(scan: Any, arc
     wanted = ("a.tlog", "b/1.tlog", "b/2.tlog", "b/9.tlog", "c.tlog", "absent.tlog")
     assert [one["log"] for one in lines] == [str(archive / name) for name in wanted]
     assert [one["verdict"] for one in lines] == ["healthy", "healthy", "fault", "healthy", "healthy", "error"]
-    assert {**lines[0], "log": ""} == {**lines[3], "log": ""}
-    assert len(list(tmp_path.glob("cache/scan/*/*.json"))) == 4
+    assert ({**lines[0], "log": ""}, len(list(tmp_path.glob("cache/scan/*/*.json")))) == ({**lines[3], "log": ""}, 4)
     code, out, err = scan(archive, "--cache", tmp_path / "cache", "--jobs", 1)
     assert (code, len(out.splitlines())) == (1, 5)
     assert "4 of 5 answers were known already; --no-cache judges anew\n1 of 5 logs: a copy of another log" in err
@@ -174,14 +172,12 @@ def test_a_scan_that_is_stopped_leaves_no_process_and_goes_on(
     scan: Any, archive: Path, baseline_archive: Path, tmp_path: Path, number: int
 ) -> None:
     """Copies of one log that differ in their first time stamp, so many that it does not end by itself."""
-    first = (archive / "a.tlog").read_bytes()
-    many = tmp_path / "many"
+    first, many = (archive / "a.tlog").read_bytes(), tmp_path / "many"
     many.mkdir()
     for k in range(400):
         (many / f"{k:03d}.tlog").write_bytes((int.from_bytes(first[:8], "big") - k).to_bytes(8, "big") + first[8:])
     options = ("--baseline", baseline_archive, "--cache", tmp_path / "cache", "--jobs", 2, "--json")
-    told = [sys.executable, "-m", "mavdiag", "scan", *map(str, (many, *options))]
-    pipe = subprocess.PIPE
+    told, pipe = [sys.executable, "-m", "mavdiag", "scan", *map(str, (many, *options))], subprocess.PIPE
     child = subprocess.Popen(
         told,
         stdout=pipe,
@@ -270,8 +266,7 @@ def flights(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 def test_the_model_of_a_log_has_figures_with_standard_errors(mavdiag: Any, flights: list[Path], tmp_path: Path) -> None:
     picture = tmp_path / "m.svg"
     code, out, _ = mavdiag("model", flights[0], "--axis", "both", "--plot", picture)
-    assert code == 0
-    assert out.count("standard errors from the covariance of the parameters") == 2
+    assert (code, out.count("standard errors from the covariance of the parameters")) == (0, 2)
     assert "bandwidth" in out
     assert sorted(one.name for one in tmp_path.iterdir()) == ["m-pitch.svg", "m-roll.svg"]
     _, out, _ = mavdiag("model", "show", flights[0], "--axis", "roll", "--json")
@@ -300,8 +295,7 @@ def test_models_of_a_baseline_are_those_of_its_fsd_monitors(mavdiag: Any, flight
 @pytest.fixture(scope="module")
 def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """D1 shakes most, and one of two damaged propellers lost lift."""
-    base = tmp_path_factory.mktemp("droneprop")
-    made = {name: flight(FLIGHT_S, 40 + i) for i, name in enumerate(OWN)}
+    base, made = tmp_path_factory.mktemp("droneprop"), {name: flight(FLIGHT_S, 40 + i) for i, name in enumerate(OWN)}
     made |= {"F0_SV0_SP1_t2_D2.mat": flight(FLIGHT_S, 51, line=0.6)}
     made |= {"F0_SV0_SP1_t2_D3.mat": flight(FLIGHT_S, 52, line=0.5)}
     made |= {"F1_SV1_SP1_t2.mat": flight(FLIGHT_S, 53)}
@@ -316,8 +310,7 @@ def test_recordings_of_dronepropa_teach_a_baseline_by_which_the_weak_rotor_alone
 ) -> None:
     path, own = recordings / "d1.json", [recordings / name for name in OWN]
     # The made flights shake more than balanced rotors do, which only their maker knows to be healthy.
-    assert mavdiag("identify", *own, "-o", path)[0] == 2
-    assert mavdiag("identify", *own, "-o", path, "--accept")[0] == 0
+    assert (mavdiag("identify", *own, "-o", path)[0], mavdiag("identify", *own, "-o", path, "--accept")[0]) == (2, 0)
     learnt = Baseline.load(path)
     layout = learnt.airframe.layout
     assert (learnt.airframe.name, layout and layout.name) == ("QDrone 2 as recorded", "qdrone2")

@@ -41,8 +41,7 @@ def test_a_file_that_is_full_is_numbered_and_so_are_those_before(tmp_path: Path)
         file.append(f"line{number}\n".encode())  # 6 bytes: one in each file
     file.close()
     found = {path.name: path.read_text() for path in tmp_path.iterdir()}
-    assert found == {"j.jsonl": "line5\n", "j.1.jsonl": "line4\n", "j.2.jsonl": "line3\n"}
-    assert said == []
+    assert (found, said) == ({"j.jsonl": "line5\n", "j.1.jsonl": "line4\n", "j.2.jsonl": "line3\n"}, [])
 
 
 def test_a_rotation_that_fails_is_told_once_and_tried_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -63,8 +62,7 @@ def test_a_rotation_that_fails_is_told_once_and_tried_again(tmp_path: Path, monk
         "cannot be written (No space left on device); watching goes on without it",
         "writing again; 2 entries were lost",
     ]
-    assert (tmp_path / "j").read_bytes() == b"new."
-    assert (tmp_path / "j.1").read_bytes() == b"old."
+    assert ((tmp_path / "j").read_bytes(), (tmp_path / "j.1").read_bytes()) == (b"new.", b"old.")
 
 
 def test_alerts_are_written_through_to_the_disk_once_a_look(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -124,8 +122,7 @@ def line(record: Record, when: When) -> str:
 def test_an_event_has_the_contracts_fields_and_both_clocks() -> None:
     found = json.loads(line(EventClosed(EVENT), WHEN))
     assert found.keys() >= CONTRACT
-    assert found["kind"] == "event"
-    assert (found["t_s"], found["end_s"], found["axis"]) == (60.0, 62.0, "roll")
+    assert (found["kind"], found["t_s"], found["end_s"], found["axis"]) == ("event", 60.0, 62.0, "roll")
     assert (found["fsd_s"], found["fml_s"], found["rotor"]) == (0.41, 0.12, None)
     assert (found["vehicle"], found["vehicle_s"]) == (1, 62.5)
     assert (found["utc"], found["start_utc"]) == ("2026-05-01T12:00:30.250Z", "2026-05-01T12:00:27.750Z")
@@ -213,8 +210,7 @@ def value(text: str, name: str) -> float:
 
 
 def test_the_figures_of_a_flight_are_on_the_page(metrics: Metrics) -> None:
-    bench = flown(metrics)
-    text = page(metrics)
+    bench, text = flown(metrics), page(metrics)
     bench.close()
     assert value(text, 'state{state="monitoring",vehicle="1"}') == 1
     assert value(text, 'state{state="lost",vehicle="1"}') == 0
@@ -228,8 +224,7 @@ def test_the_figures_of_a_flight_are_on_the_page(metrics: Metrics) -> None:
     assert 0.3 < value(text, 'judged_share{vehicle="1"}') < 1.0  # the first five seconds are not judged
     assert 0.0 <= value(text, 'statistic_ratio{axis="roll",monitor="fsd",vehicle="1"}') < 1.0
     assert value(text, 'link_connected{link="vehicle"}') == 1
-    assert value(text, 'link_dropped{link="behind 1 memory:near"}') == 0
-    assert value(text, "session_working") == 1
+    assert (value(text, 'link_dropped{link="behind 1 memory:near"}'), value(text, "session_working")) == (0, 1)
 
 
 def test_requests_that_are_never_ended_cost_no_thread_and_hide_no_page(caplog: pytest.LogCaptureFixture) -> None:
@@ -248,8 +243,7 @@ def test_requests_that_are_never_ended_cost_no_thread_and_hide_no_page(caplog: p
 
 def test_the_dashboard_asks_only_for_figures_and_labels_that_there_are(metrics: Metrics) -> None:
     text = Path(__file__).parents[2].joinpath("deploy", "grafana-dashboard.json").read_text()
-    board = json.loads(text)
-    bench = flown(metrics, vehicles=2)
+    board, bench = json.loads(text), flown(metrics, vehicles=2)
     bench.close()
     served = page(metrics)
     known = set(re.findall(r"^# TYPE (\w+) ", served, re.MULTILINE))

@@ -116,8 +116,7 @@ def test_acknowledgements_and_commands_are_handed_out() -> None:
     targets = ((1, computer), (1, Component.AUTOPILOT1), (9, computer))
     ask = [station.encode(MessageId.COMMAND_LONG, *target, MavCmd.REQUEST_MESSAGE) for target in targets]
     received = decoder.feed(as_columns([(b"".join([ours, other, *ask]), S)]), S)
-    assert list(received) == [1]
-    assert received[1].acks == (Ack(MavCmd.SET_MESSAGE_INTERVAL, MavResult.DENIED),)
+    assert (list(received), received[1].acks) == ([1], (Ack(MavCmd.SET_MESSAGE_INTERVAL, MavResult.DENIED),))
     assert [command_in(frame) for frame in received[1].asked] == [Command(MavCmd.REQUEST_MESSAGE, 255, 190)]
     assert received[1].alive
     assert not decoder.feed(as_columns([(b"".join(ask), 2 * S)]), 2 * S)[1].alive
@@ -162,8 +161,7 @@ def attitudes(sender: Sender, n: int) -> list[tuple[bytes, int]]:
 
 def test_the_rates_of_attitude_are_read_only_where_no_imu_message_comes_for_long_and_only_until_one_comes() -> None:
     decoder, sender = LinkDecoder(), Sender()
-    assert run(decoder, attitudes(sender, 290)) == 0
-    assert decoder.vehicles[1].profile.imu == MessageId.RAW_IMU
+    assert (run(decoder, attitudes(sender, 290)), decoder.vehicles[1].profile.imu) == (0, MessageId.RAW_IMU)
     sender, decoder = Sender(), LinkDecoder()
     rows = attitudes(sender, 400)
     assert run(decoder, rows[:-1]) == pytest.approx(100, abs=12)
@@ -264,9 +262,7 @@ def test_a_careful_decoder_wants_two_heartbeats_of_one_sender() -> None:
         chunks = sender.chunks(100)
         link.feed(as_columns(chunks, [HERE] * len(chunks)), chunks[-1][1])
         assert bool(link.vehicles) is (k > 0)
-    assert link.source(1) == HERE
-    assert link.sources_since(2 * S) == [HERE]
-    assert link.sources_since(30 * S) == []
+    assert (link.source(1), link.sources_since(2 * S), link.sources_since(30 * S)) == (HERE, [HERE], [])
 
 
 def test_why_a_vehicle_waits_is_told_after_seconds() -> None:
@@ -369,8 +365,7 @@ def test_on_a_link_only_a_multirotor_enters(careful: bool) -> None:
     decoder.feed(as_columns([(wrong, 0)]), 0)
     for t_us, frame in sorted([*stream(11, sysid=1, n=600), *stream(2, sysid=7, n=600)], key=lambda one: one[0]):
         decoder.feed(as_columns([(frame, 1_000 * t_us)]), 1_000 * t_us)
-    assert list(decoder.vehicles) == [7]
-    assert decoder.waiting == {1: BOAT}
+    assert (list(decoder.vehicles), decoder.waiting) == ([7], {1: BOAT})
 
 
 def series(signal: Signal, t_s: FloatArray, values: FloatArray, late_s: float = 0.0) -> Series:

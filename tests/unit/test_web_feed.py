@@ -93,8 +93,7 @@ def test_the_page_gets_the_lines_of_the_journal_numbered(bench: Bench, child: Fa
     bench.run(5.0)
     assert bench.journal is not None
     written = [json.loads(line) for line in bench.journal.read_text().splitlines()]
-    assert child.of("J") == written
-    assert child.numbers == list(range(1, len(written) + 1))
+    assert (child.of("J"), child.numbers) == (written, list(range(1, len(written) + 1)))
     assert any(one["kind"] == "text" and "FAULT" in one["text"] for one in written)
 
 
@@ -227,8 +226,7 @@ def test_a_replay_that_jumps_begins_anew_for_every_page() -> None:
         board.take(line)
     found = events(reader.next())
     assert [one["event"] for one in found] == ["hello", "about", "now", "entry"]
-    assert json.loads(found[0]["data"]) == {"run": "r-1", "newest": 0, "fresh": True}
-    assert found[-1]["id"] == "r-1-1"
+    assert (json.loads(found[0]["data"]), found[-1]["id"]) == ({"run": "r-1", "newest": 0, "fresh": True}, "r-1-1")
     again = [one["event"] for one in events(board.enter(1, parse_last("r-20", board.run)).next())]
     assert again == ["hello", "playing", "about", "now", "entry"]
 
@@ -256,8 +254,7 @@ def test_figures_go_to_those_who_look_at_the_vehicle_and_a_slow_page_loses_the_o
     assert kept == list(range(1000 - len(kept), 1000))
     assert 100 <= len(kept) <= 300
     late = events(board.enter(1, None).next())
-    assert [event["event"] for event in late[:2]] == ["hello", "about"]
-    assert late[-1]["data"] == "999"
+    assert ([event["event"] for event in late[:2]], late[-1]["data"]) == (["hello", "about"], "999")
 
 
 def judged(access: Access, path: str = "/stream", method: str = "GET", token: str | None = None, **more: str) -> Answer:
