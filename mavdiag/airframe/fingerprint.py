@@ -4,7 +4,7 @@ A fingerprint is of each of `TRAITS` the mean over healthy flights and the sprea
 other vehicle, so only that counts which damage to one rotor does not do. It shifts the trim along the rotor's own
 pattern: the best rise of one rotor is taken out of the shift, unless it is less than 0.025 and vibration is no higher.
 It raises vibration and costs thrust: only lower noise and a lower throttle count. Only calm seconds count. Which
-outputs move with roll and pitch tells motors on other outputs, whatever else is alike.
+outputs move with roll and pitch tells motors on other outputs, where another order of them fits both clearly.
 """
 
 import itertools

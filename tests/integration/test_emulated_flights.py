@@ -163,8 +163,7 @@ def weakened(log: Log, rotor: int, loss: float) -> Log:
     parts = []
     for one in log.telemetry.series:
         if one.signal is Signal.ACTUATOR:
-            values = one.values.copy()
-            late = one.t_ns > (one.t_ns[0] + one.t_ns[-1]) // 2
+            values, late = one.values.copy(), one.t_ns > (one.t_ns[0] + one.t_ns[-1]) // 2
             values[late, rotor - 1] += (1 / np.sqrt(1 - loss) - 1) * values[late, :4].mean(axis=1)
             one = replace(one, values=values)
         parts.append(one)
@@ -223,8 +222,7 @@ def test_gyro_bands_have_the_published_energy(drone: int) -> None:
 def test_rate_command_torque_and_duty_are_the_printed_formulas_of_the_recorded_signals() -> None:
     """12 (ref - angle) - .1 rate, yaw 2 ref; [.1876 .1544 .079] (cmd - rate) - [.0032 .0026 .010] accel."""
     samples = flight("t2-sp1", 1, 750)
-    log = samples.log
-    flown = in_flight(samples)
+    log, flown = samples.log, in_flight(samples)
     angle, rate, acceleration = (part[flown].mean(axis=1) for part in (log["angle"], log["rate"], log["acceleration"]))
     reference = np.clip(log["pid"][flown, :2], -math.pi / 4, math.pi / 4)
     command = np.column_stack([12 * (reference - angle[:, :2]) - 0.1 * rate[:, :2], 2 * log["pid"][flown, 3]])
@@ -376,8 +374,7 @@ def test_ardupilots_imu_is_low_passed_at_20_hz() -> None:
     for signal, raw, unit in ((Signal.BODY_RATE, samples.gyro, 1e-3), (Signal.SPECIFIC_FORCE, samples.accel, 9.81e-3)):
         series = heard.need(signal)
         rows = (series.host_ns - int(samples.t_ns[0])) // 1_000_000
-        expected = lfilter(b, a, raw - raw[0], axis=0) + raw[0]
-        late = rows > settled
+        expected, late = lfilter(b, a, raw - raw[0], axis=0) + raw[0], rows > settled
         np.testing.assert_allclose(series.values[late], expected[rows[late]], rtol=0, atol=0.55 * unit)
 
 

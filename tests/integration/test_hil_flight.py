@@ -257,10 +257,8 @@ def test_flight_time_is_frames_over_rate(rate_hz: int) -> None:
 def test_a_repeated_frame_is_answered_again_and_not_flown() -> None:
     link, simulation = lockstep()
     link.feed(servo_bytes(0, CLIMB), "a", 0.0)
-    first = link.feed(servo_bytes(1, CLIMB), "a", 0.1)
-    t_s = simulation.t_s
-    assert link.feed(servo_bytes(1, OFF), "a", 1.1) == first
-    assert (simulation.t_s, link.counts.resent) == (t_s, 1)
+    first, t_s = link.feed(servo_bytes(1, CLIMB), "a", 0.1), simulation.t_s
+    assert (link.feed(servo_bytes(1, OFF), "a", 1.1), simulation.t_s, link.counts.resent) == (first, t_s, 1)
     assert answered(link.feed(servo_bytes(2, CLIMB), "a", 1.2))["timestamp"] > answered(first)["timestamp"]
 
 
@@ -392,8 +390,7 @@ def read_lines(path: Path) -> list[dict[str, object]]:
 
 def test_the_same_options_give_the_same_file_and_another_seed_another(program: Any, tmp_path: Path) -> None:
     flight = ("--duration", "2", "--fault", "F2/SV2", "--rotor", "3", "--onset", "1", "--rate", "200", "--seed")
-    files = {name: tmp_path / f"{name}.tlog" for name in ("one", "same", "other")}
-    truth = tmp_path / "truth.jsonl"
+    files, truth = {name: tmp_path / f"{name}.tlog" for name in ("one", "same", "other")}, tmp_path / "truth.jsonl"
     for (name, path), seed in zip(files.items(), ("4", "4", "5"), strict=True):
         code, out, err = program("sitl_plant.__main__", "record", "-o", path, *flight, seed, "--truth", truth)
         assert code == 0, err
@@ -422,8 +419,7 @@ def test_a_flight_keeps_the_wall_clock_and_no_message_comes_early() -> None:
         command = ["run", "--json", "--out", ear.address.replace("udpin", "udpout"), "--duration", "3"]
         flight = subprocess.Popen([sys.executable, "-m", "sitl_plant", *command], stdout=subprocess.PIPE, text=True)
         decoder, frames = Decoder(), []
-        place = field_index(MessageId.RAW_IMU, "time_usec")
-        until = time.monotonic() + PATIENCE_S
+        place, until = field_index(MessageId.RAW_IMU, "time_usec"), time.monotonic() + PATIENCE_S
         while flight.poll() is None and time.monotonic() < until:
             frames += [frame for data, host_ns in ear.receive(0.1) for frame in decoder.feed(data, host_ns)]
         frames += [frame for data, host_ns in ear.receive(0.1) for frame in decoder.feed(data, host_ns)]

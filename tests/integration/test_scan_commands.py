@@ -161,8 +161,7 @@ def test_a_pool_answers_as_one_process_does_in_order_and_keeps_it(scan: Any, arc
     wanted = ("a.tlog", "b/1.tlog", "b/2.tlog", "b/9.tlog", "c.tlog", "absent.tlog")
     assert [one["log"] for one in lines] == [str(archive / name) for name in wanted]
     assert [one["verdict"] for one in lines] == ["healthy", "healthy", "fault", "healthy", "healthy", "error"]
-    assert {**lines[0], "log": ""} == {**lines[3], "log": ""}
-    assert len(list(tmp_path.glob("cache/scan/*/*.json"))) == 4
+    assert ({**lines[0], "log": ""}, len(list(tmp_path.glob("cache/scan/*/*.json")))) == ({**lines[3], "log": ""}, 4)
     code, out, err = scan(archive, "--cache", tmp_path / "cache", "--jobs", 1)
     assert (code, len(out.splitlines())) == (1, 5)
     assert "4 of 5 answers were known already; --no-cache judges anew\n1 of 5 logs: a copy of another log" in err
@@ -173,14 +172,12 @@ def test_a_scan_that_is_stopped_leaves_no_process_and_goes_on(
     scan: Any, archive: Path, baseline_archive: Path, tmp_path: Path, number: int
 ) -> None:
     """Copies of one log that differ in their first time stamp, so many that it does not end by itself."""
-    first = (archive / "a.tlog").read_bytes()
-    many = tmp_path / "many"
+    first, many = (archive / "a.tlog").read_bytes(), tmp_path / "many"
     many.mkdir()
     for k in range(400):
         (many / f"{k:03d}.tlog").write_bytes((int.from_bytes(first[:8], "big") - k).to_bytes(8, "big") + first[8:])
     options = ("--baseline", baseline_archive, "--cache", tmp_path / "cache", "--jobs", 2, "--json")
-    told = [sys.executable, "-m", "mavdiag", "scan", *map(str, (many, *options))]
-    pipe = subprocess.PIPE
+    told, pipe = [sys.executable, "-m", "mavdiag", "scan", *map(str, (many, *options))], subprocess.PIPE
     child = subprocess.Popen(
         told,
         stdout=pipe,
@@ -298,8 +295,7 @@ def test_models_of_a_baseline_are_those_of_its_fsd_monitors(mavdiag: Any, flight
 @pytest.fixture(scope="module")
 def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """D1 shakes most, and one of two damaged propellers lost lift."""
-    base = tmp_path_factory.mktemp("droneprop")
-    made = {name: flight(FLIGHT_S, 40 + i) for i, name in enumerate(OWN)}
+    base, made = tmp_path_factory.mktemp("droneprop"), {name: flight(FLIGHT_S, 40 + i) for i, name in enumerate(OWN)}
     made |= {"F0_SV0_SP1_t2_D2.mat": flight(FLIGHT_S, 51, line=0.6)}
     made |= {"F0_SV0_SP1_t2_D3.mat": flight(FLIGHT_S, 52, line=0.5)}
     made |= {"F1_SV1_SP1_t2.mat": flight(FLIGHT_S, 53)}
@@ -314,8 +310,7 @@ def test_recordings_of_dronepropa_teach_a_baseline_by_which_the_weak_rotor_alone
 ) -> None:
     path, own = recordings / "d1.json", [recordings / name for name in OWN]
     # The made flights shake more than balanced rotors do, which only their maker knows to be healthy.
-    assert mavdiag("identify", *own, "-o", path)[0] == 2
-    assert mavdiag("identify", *own, "-o", path, "--accept")[0] == 0
+    assert (mavdiag("identify", *own, "-o", path)[0], mavdiag("identify", *own, "-o", path, "--accept")[0]) == (2, 0)
     learnt = Baseline.load(path)
     layout = learnt.airframe.layout
     assert (learnt.airframe.name, layout and layout.name) == ("QDrone 2 as recorded", "qdrone2")

@@ -84,8 +84,7 @@ def test_a_folder_is_all_logs_below_it_by_name_and_what_is_no_log_is_counted(tmp
     tree(tmp_path, "b/2.tlog", "b/1.dat", "a.tlog", "z/y/x.tlog", "notes.txt", "b/notes.txt", ".git/a.tlog", ".b.tlog")
     (tmp_path / "empty.tlog").touch()
     found = logs_named([tmp_path])
-    assert below(tmp_path, ".") == ["a.tlog", "b/1.dat", "b/2.tlog", "z/y/x.tlog"]
-    assert found.skipped == 3
+    assert (below(tmp_path, "."), found.skipped) == (["a.tlog", "b/1.dat", "b/2.tlog", "z/y/x.tlog"], 3)
 
 
 def test_a_pattern_is_what_it_matches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -94,8 +93,7 @@ def test_a_pattern_is_what_it_matches(tmp_path: Path, monkeypatch: pytest.Monkey
     assert below(tmp_path, "*/*.tlog") == ["a/1.tlog", "a/2.tlog", "b/3.tlog"]
     assert below(tmp_path, "**/[23]*") == ["a/2.tlog", "b/3.tlog"]
     assert below(tmp_path, "[ab]") == ["a/1.tlog", "a/2.tlog", "b/3.tlog"]
-    assert logs_named([tmp_path / "b" / "*"]).skipped == 1
-    assert below(tmp_path, "c[1].tlog") == ["c[1].tlog"]
+    assert (logs_named([tmp_path / "b" / "*"]).skipped, below(tmp_path, "c[1].tlog")) == (1, ["c[1].tlog"])
     monkeypatch.chdir(tmp_path)
     assert [str(one.path) for one in logs_named(["*/1*"]).logs] == ["a/1.tlog"]
 
@@ -129,8 +127,7 @@ def test_every_option_the_baseline_and_the_code_make_another_question(monkeypatc
     scopes.append(Question.of(other, Options()).scope)
     monkeypatch.setattr("mavdiag.archive.scan.judging_version", lambda: "other")
     scopes.append(asked().scope)
-    assert len(set(scopes)) == len(scopes)
-    assert asked().scope == asked().scope
+    assert (len(set(scopes)), asked().scope) == (len(scopes), asked().scope)
 
 
 def test_a_damaged_file_and_one_of_another_log_are_no_answers(tmp_path: Path) -> None:
@@ -233,8 +230,7 @@ def test_answers_are_kept_and_found_again_and_errors_are_not(tmp_path: Path) -> 
     assert (first.path, first.fresh, len(list(kept.iterdir()))) == (a, True, 1)
     run.close()  # as Ctrl-C does
     answers = list(scan(logs, asked(), 1, open_cache(tmp_path / "cache", asked().scope)))
-    assert [answer.fresh for answer in answers] == [False, True, False, True, True]
-    assert len(list(kept.iterdir())) == 2
+    assert ([answer.fresh for answer in answers], len(list(kept.iterdir()))) == ([False, True, False, True, True], 2)
     assert answers[0].record == first.record == answers[2].record != answers[3].record
     for answer, words in ((answers[1], "not a flight log of a known kind"), (answers[4], "no such file")):
         assert answer.verdict.verdict is Verdict.ERROR
@@ -369,8 +365,7 @@ def test_csv_and_parquet_hold_the_same(answers: list[Answer], tmp_path: Path) ->
 @pytest.fixture(scope="module")
 def flight() -> JudgedFlight:
     """Healthy for 20 s, then with a weak rotor for 20 s, after a gap of one second."""
-    healthy = without(flying(4000, 5), (20.0, 100.0))
-    weak = without(NEW, (0.0, 21.0))
+    healthy, weak = without(flying(4000, 5), (20.0, 100.0)), without(NEW, (0.0, 21.0))
     parts = tuple(
         replace(
             one,
@@ -437,8 +432,7 @@ def test_the_line_is_that_of_a_weighted_polynomial_fit() -> None:
 
 def test_the_stated_error_is_the_scatter_of_repetitions() -> None:
     """Sessions of one flight with normal errors, 300 times."""
-    rng = np.random.default_rng(2)
-    x = np.arange(1.0, 101.0)
+    rng, x = np.random.default_rng(2), np.arange(1.0, 101.0)
     found = [trend_of(one_each(0.4 + 0.002 * x + 0.03 * rng.standard_normal(100)), 100.0) for _ in range(300)]
     trends = [one for one in found if one is not None]
     levels, slopes = np.array([one.level for one in trends]), np.array([one.slope for one in trends])
@@ -636,8 +630,7 @@ def test_a_reader_needs_no_rights_to_write(tmp_path: Path) -> None:
     path = tmp_path / "h.sqlite"
     with open_history(str(path), create=True) as history:
         history.add(record(1))
-    before = path.stat().st_mtime_ns
-    held = sqlite3.connect(path, isolation_level=None)
+    before, held = path.stat().st_mtime_ns, sqlite3.connect(path, isolation_level=None)
     held.execute("BEGIN IMMEDIATE")  # another one writes at the moment
     with open_history(str(path)) as history:
         assert len(history.flights("one")) == 1
@@ -688,8 +681,7 @@ def test_without_clocks_the_lower_odds_of_both_readings_are_told(readings: list[
     said = together(REFERENCE, flown([0, 0, 0], rise=0.1))
     odds = [evidence_of(one, C, of_flights.priors_of(C)).odds for one in readings]
     assert said.evidence is not None
-    assert len(odds) == 2
-    assert said.evidence.odds == min(odds)
+    assert (len(odds), said.evidence.odds) == (2, min(odds))
 
 
 def test_flights_that_taught_and_those_without_a_trim_do_not_count(readings: list[Flown]) -> None:

@@ -105,8 +105,7 @@ def test_a_fake_header_does_not_swallow_the_frames_behind_it() -> None:
     beats = b"".join(encoder.encode(MessageId.HEARTBEAT, *HEARTBEAT) for _ in range(20))
     fake = b"\xfd\xff\x00\x00\x00\x01\x01\x00\x00\x00"  # a heartbeat of 255 bytes
     decoder = Decoder()
-    assert len(decoder.feed(fake + beats, 0)) == 20
-    assert (decoder.records, decoder.garbage_bytes) == (20, len(fake))
+    assert (len(decoder.feed(fake + beats, 0)), decoder.records, decoder.garbage_bytes) == (20, 20, len(fake))
 
 
 def unknown_frame(seq: int = 0) -> bytes:
@@ -114,8 +113,7 @@ def unknown_frame(seq: int = 0) -> bytes:
 
 
 def test_frames_outside_the_dialect_are_taken_on_trust_only_before_another_frame() -> None:
-    good = Encoder(1, 1).encode(MessageId.HEARTBEAT, *HEARTBEAT)
-    decoder = Decoder()
+    good, decoder = Encoder(1, 1).encode(MessageId.HEARTBEAT, *HEARTBEAT), Decoder()
     assert (decoder.feed(unknown_frame(255), 0), decoder.records) == ([], 0)  # not yet confirmed
     assert len(decoder.feed(good, 0)) == 1
     assert (decoder.senders[1, 1].lost, decoder.senders[1, 1].by_message) == (0, {UNKNOWN: 1, MessageId.HEARTBEAT: 1})
@@ -163,8 +161,7 @@ bytes_like_frames = st.lists(
 @given(st.lists(st.binary(max_size=300), max_size=8), st.integers(0, 2**31))
 def test_frames_in_garbage_are_found(garbage: list[bytes], stamp: int) -> None:
     encoder = Encoder(1, 1)
-    sent = [encoder.encode(MessageId.ATTITUDE, stamp, 0.5 * k) for k in range(len(garbage))]
-    decoder = Decoder()
+    sent, decoder = [encoder.encode(MessageId.ATTITUDE, stamp, 0.5 * k) for k in range(len(garbage))], Decoder()
     frames = decoder.feed(b"".join(g + s for g, s in zip(garbage, sent, strict=True)) + bytes(300), 0)
     mine = [f.fields[:2] for f in frames if f.msgid == MessageId.ATTITUDE]
     assert mine == [(stamp, 0.5 * k) for k in range(len(garbage))]
@@ -241,16 +238,13 @@ def test_what_we_sign_pymavlink_accepts_and_the_other_way_round() -> None:
     (signing, decoder), mav = verifier(), signer(link_id=9)
     for mav.seq in (k % 256 for k in range(300)):
         theirs.append(bytes(dialect.mavlink_map[0](*BEAT).pack(mav)))
-    assert [frame.seq for frame in heard(decoder, *theirs)] == [k % 256 for k in range(300)]
-    assert signing.refused == {}
+    assert ([frame.seq for frame in heard(decoder, *theirs)], signing.refused) == ([k % 256 for k in range(300)], {})
 
 
 def test_a_forged_frame_with_a_huge_stamp_does_not_stop_the_genuine_stream() -> None:
-    genuine = beats(20, Signing(KEY, stamp=NOW))
-    forged = beats(1, Signing(b"x" * 32, stamp=(1 << 48) - 2))[0]
+    genuine, forged = beats(20, Signing(KEY, stamp=NOW)), beats(1, Signing(b"x" * 32, stamp=(1 << 48) - 2))[0]
     signing, decoder = verifier()
-    assert len(heard(decoder, *genuine[:10], forged, *genuine[10:])) == 20
-    assert signing.refused == {Refusal.FORGED: 1}
+    assert (len(heard(decoder, *genuine[:10], forged, *genuine[10:])), signing.refused) == (20, {Refusal.FORGED: 1})
     assert signing.stamp < NOW + 100
 
 
@@ -267,10 +261,8 @@ def test_every_bit_of_a_signed_frame_is_protected() -> None:
 def test_unsigned_and_mavlink_1_are_refused_with_a_key() -> None:
     signing, decoder = verifier()
     (unsigned,) = beats(1, Signing(KEY, stamp=NOW))
-    plain = Encoder(1, 1).encode(MessageId.HEARTBEAT, *BEAT)
-    mav = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
-    old = bytes(dialect.mavlink_map[0](*BEAT).pack(mav, force_mavlink1=True))
-    unknown = bytearray(plain)
+    plain, mav = Encoder(1, 1).encode(MessageId.HEARTBEAT, *BEAT), dialect.MAVLink(None, srcSystem=1, srcComponent=1)
+    old, unknown = bytes(dialect.mavlink_map[0](*BEAT).pack(mav, force_mavlink1=True)), bytearray(plain)
     unknown[7:10] = b"\xff\xff\xff"
     assert heard(decoder, plain, old, bytes(unknown)) == []
     assert (signing.refused, decoder.senders) == ({Refusal.UNSIGNED: 2, Refusal.MAVLINK_1: 1}, {})
@@ -280,8 +272,8 @@ def test_unsigned_and_mavlink_1_are_refused_with_a_key() -> None:
 def test_a_replayed_copy_of_a_signed_frame_is_refused_and_not_passed_on() -> None:
     genuine, passed = beats(3, Signing(KEY, stamp=NOW)), list[tuple[bytes, int]]()
     decoder = Decoder(signing=(signing := Signing(KEY, stamp=NOW)), passed=passed)
-    assert len(heard(decoder, *genuine, genuine[2], genuine[0])) == 3
-    assert (passed, signing.refused) == ([(frame, 0) for frame in genuine], {Refusal.REPLAYED: 2})
+    assert (len(heard(decoder, *genuine, genuine[2], genuine[0])), passed) == (3, [(frame, 0) for frame in genuine])
+    assert signing.refused == {Refusal.REPLAYED: 2}
 
 
 def test_each_stream_has_its_own_stamps_and_a_new_one_older_than_a_minute_is_stale() -> None:

@@ -100,8 +100,7 @@ def seen(changes: tuple[Change, ...]) -> list[bool]:
 def test_a_fault_lasts_is_only_no_longer_seen_and_a_rotor_that_comes_back_goes_on() -> None:
     """H3: the end of a transient was the end of the fault: 12 of 12 lasting losses were called clear."""
     state, _, changes = decided(values(profile((2, 0.3), *[(1.5, 1.0), (1.5, 0.2)] * 3, (30, 0.2))))
-    assert stages(changes) == [Stage.QUIET, Stage.FAULT, Stage.FAULT]
-    assert seen(changes) == [True, False]
+    assert (stages(changes), seen(changes)) == ([Stage.QUIET, Stage.FAULT, Stage.FAULT], [True, False])
     assert (state.diagnosis.stage, state.diagnosis.rotor, state.diagnosis.declared_ns) == (Stage.FAULT, 1, 2 * NS_PER_S)
     (span,) = state.diagnosis.rotors
     assert (span.rotor, span.since_ns) == (1, 2 * NS_PER_S)
@@ -114,8 +113,7 @@ def test_3a_another_slot_that_is_calm_does_not_speak_for_the_one_that_was_over()
     """A fault of a monitor that left its envelope at 0.9 of its threshold was cleared by any other calm one."""
     shaking = values(profile((2, 0.3), (2, 1.0), (1, 0.45), (20, np.nan)))
     state, _, changes = decided(shaking, values(profile((25, 0.1))))
-    assert seen(changes) == [True]
-    assert (state.diagnosis.stage, state.diagnosis.seen) == (Stage.FAULT, True)
+    assert (seen(changes), state.diagnosis.stage, state.diagnosis.seen) == ([True], Stage.FAULT, True)
     state, _, changes = decided(values(profile((2, 0.3), (2, 1.0), (5, 0.1), (20, np.nan))), values(profile((29, 0.1))))
     assert (state.diagnosis.stage, state.diagnosis.seen) == (Stage.FAULT, False)
 
@@ -126,12 +124,10 @@ def test_u2_every_rotor_is_named_with_its_span_and_its_own_figure() -> None:
     shaking.rotors[int(41 / STEP_S) :] = at(1)
     state, events, changes = decided(shaking)
     rotors = [(one.rotor, round(one.since_ns / 1e9), round((one.end_ns or 0) / 1e9)) for one in changes[-1].rotors]
-    assert rotors == [(1, 2, 12), (4, 22, 32), (1, 42, 47)]
-    assert seen(changes) == [True, False] * 3
+    assert (rotors, seen(changes)) == ([(1, 2, 12), (4, 22, 32), (1, 42, 47)], [True, False] * 3)
     named = [(one.rotor, one.statistic) for one in changes if one.stage is Stage.FAULT and one.seen]
     assert named == [(1, 1.0), (4, 2.0), (1, 1.5)]  # H12: the first motor had the figure of the second
-    assert [one.rotor for one in events] == [1, 1, 4, 4, 1, 1]
-    assert state.diagnosis.declared_ns == 2.32 * NS_PER_S
+    assert ([one.rotor for one in events], state.diagnosis.declared_ns) == ([1, 1, 4, 4, 1, 1], 2.32 * NS_PER_S)
     told = fault_reason(FaultKind.PROPELLER, [change for change in changes if change.stage is Stage.FAULT], events)
     assert "; rotor 1 from 2.3 s, rotor 4 from 22.3 s, rotor 1 from 42.3 s" in told
     assert " from 2.32 s" in str(events[0])
@@ -159,8 +155,7 @@ def test_h3_the_command_of_a_weak_rotor_that_falls_back_is_no_new_fault(named: i
     fallen[[1, named - 1]] = (0.04, -0.045)
     trim.rotors[int(20 / STEP_S) :] = fallen
     state, _, changes = decide(DecisionSpec((TRIM,)), (trim,))
-    assert [one.rotor for one in changes[-1].rotors] == rotors
-    assert state.diagnosis.seen == (named != 1)
+    assert ([one.rotor for one in changes[-1].rotors], state.diagnosis.seen) == (rotors, named != 1)
 
 
 def test_9a_an_alarm_that_does_not_overlap_a_fault_belongs_to_none() -> None:
@@ -226,8 +221,7 @@ def test_a_name_that_is_corrected_in_one_episode_stays_of_the_one_before() -> No
 
 
 def test_what_declares_a_fault_is_its_evidence_though_it_shows_another_rotor() -> None:
-    trim = replace(TRIM, threshold=0.1)
-    risen = values(profile((2, 0.01), (6, 0.12)))
+    trim, risen = replace(TRIM, threshold=0.1), values(profile((2, 0.01), (6, 0.12)))
     risen.rotors[:] = (0.12, 0.11, -0.1, -0.1)
     _, _, (_, fault) = decide(DecisionSpec((SHAKING, trim)), (values(profile((2, 0.3), (6, 0.48)), rotor=2), risen))
     assert (fault.rotor, fault.monitor, fault.statistic) == (2, "trim_step", 0.12)
@@ -267,8 +261,7 @@ def test_the_table_has_one_way_into_a_fault_and_no_height_ends_it() -> None:
     for (came, height), (stage, reason) in NEXT.items():
         assert stage is not came
         assert reason
-        assert (stage is Stage.FAULT) == (height is Height.OVER)
-        assert (stage is Stage.NOT_JUDGED) == (height is Height.UNKNOWN)
+        assert (stage is Stage.FAULT, stage is Stage.NOT_JUDGED) == (height is Height.OVER, height is Height.UNKNOWN)
         assert came is not Stage.FAULT
         assert came is not Stage.INSPECT or stage is Stage.FAULT
     assert {came for came, height in NEXT if height is Height.OVER} == set(Stage) - {Stage.FAULT}
@@ -324,8 +317,7 @@ def test_a_rotor_is_named_only_while_that_is_certain() -> None:
 
 def values_kinds(x: FloatArray, *rotors: tuple[float, tuple[float, ...]]) -> Statistic:
     """With evidence for the rotors, in pieces of (seconds, evidence)."""
-    found = statistic(x, first_s=0.0, dt_s=STEP_S, rotors=(0.0,) * 4 if rotors else ())
-    at = 0
+    found, at = statistic(x, first_s=0.0, dt_s=STEP_S, rotors=(0.0,) * 4 if rotors else ()), 0
     for span, evidence in rotors:
         found.rotors[at : at + round(span / STEP_S)] = evidence
         at += round(span / STEP_S)
@@ -380,8 +372,7 @@ def test_what_contradicts_is_far_below_its_threshold_or_follows_from_the_damage_
     assert found.rotor is None
     assert found.confidence == pytest.approx(0.5, abs=0.01)
     calm = of(RotorSignature, 0.5, 1.0, -1.0, -1.0, -1.0)
-    assert isolate([calm]).confidence == 0.0
-    assert isolate([calm, of(Unbalance, 1.2, *SHAKING_KINDS)]).rotor == 2
+    assert (isolate([calm]).confidence, isolate([calm, of(Unbalance, 1.2, *SHAKING_KINDS)]).rotor) == (0.0, 2)
     trim = of(RotorTrim, 3.0, 2.0, -1.0, -1.0, -1.0)
     assert isolate([trim]).rotor == 1
     assert isolate([trim, of(Unbalance, 0.9, *SHAKING_KINDS)]).rotor != 2
@@ -410,8 +401,7 @@ def test_16_monitors_of_different_layouts_do_not_end_the_session() -> None:
 def test_rotors_of_an_arm_are_one_place() -> None:
     """Evidence that fits both rotors of an arm names the arm, where two rotors alike would name none."""
     how, both = RotorEvidence(8.0), (0.9, 0.1, 0.0, 0.9)
-    apart = reading(how, 2.0, 0.5, both)
-    arms = replace(how, arms=(Motor(1, 4), Motor(2, 3)))
+    apart, arms = reading(how, 2.0, 0.5, both), replace(how, arms=(Motor(1, 4), Motor(2, 3)))
     slot, trim = (
         made_slot("any", 0.5, evidence=arms),
         RotorTrimSpec(layout=layout_named("x"), source="actuator", spread=(1.0, 1.0, 1.0)),
@@ -420,8 +410,7 @@ def test_rotors_of_an_arm_are_one_place() -> None:
     assert together.rotors == (0.9, 0.1)
     assert isolate([apart]).rotor is None
     named = isolate([together]).rotor
-    assert (named, str(named), f"{named}") == (1, "1/4", "1/4")
-    assert pickle.loads(pickle.dumps(named)).members == (1, 4)
+    assert (named, str(named), f"{named}", pickle.loads(pickle.dumps(named)).members) == (1, "1/4", "1/4", (1, 4))
 
 
 def centre(code: str, strength: float = 1.0) -> FloatArray:

@@ -141,8 +141,7 @@ def good() -> tuple[FloatArray, FloatArray]:
 @pytest.mark.parametrize("method", ["ls", "sriv"])
 def test_bad_data_are_refused_with_one_line(method: str) -> None:
     u, y = good()
-    holed = np.where(np.arange(400) == 10, np.nan, y)
-    sine = np.sin(0.3 * np.arange(400))
+    holed, sine = np.where(np.arange(400) == 10, np.nan, y), np.sin(0.3 * np.arange(400))
     cases: list[tuple[Records, Records, str]] = [
         (u[:2], y[:2], "too short"),
         (u[:30], y[:30], "too short"),
@@ -238,8 +237,7 @@ def test_flights_that_begin_in_motion_do_not_bias_it() -> None:
 @pytest.mark.parametrize("order", [(1, 1, 1), (2, 5, 0), (3, 2, 1), (2, 1, 4)])
 def test_every_order_recovers_its_own_model(order: tuple[int, int, int]) -> None:
     na, nb, nk = order
-    rng = np.random.default_rng(11)
-    poles = np.array([0.9, 0.5, -0.3])[:na]
+    rng, poles = np.random.default_rng(11), np.array([0.9, 0.5, -0.3])[:na]
     a = np.real(np.atleast_1d(np.poly(poles)))
     truth = ArxModel(a, np.r_[np.zeros(nk), 0.3 + rng.random(nb)], 0.01, order, Method.PUBLISHED)
     data = record(truth, 8000, 0.1, 12)
@@ -276,8 +274,7 @@ def test_a_fit_that_begins_near_ends_where_the_other_one_does_and_a_bad_start_do
 def test_octave_residual_figures(index: int) -> None:
     case, u, y = octave(index)
     model = fit(u, y, (case["na"], case["nb"], case["nk"]), dt=0.001, method="ls")
-    error = y[model.lag :] - model.predict(u, y)
-    simulation_error = y - model.simulate(u)
+    error, simulation_error = y[model.lag :] - model.predict(u, y), y - model.simulate(u)
     for q, e, simulated_e in zip(case["prct_p"], case["prct_e"], case["prct_es"], strict=True):
         assert np.percentile(error, q, method="hazen") == pytest.approx(e, abs=1e-9)
         assert np.percentile(simulation_error, q, method="hazen") == pytest.approx(simulated_e, abs=1e-9)
@@ -325,8 +322,7 @@ def last(*pairs: Record, order: Order = (2, 2, 1), forgetting: float = 1.0) -> A
 @pytest.mark.parametrize("order", [(1, 1, 1), (2, 5, 0), (3, 2, 2)])
 def test_without_forgetting_it_is_batch_least_squares(order: Order) -> None:
     one, two = record(WELL, 600, 0.2, 1), record(WELL, 500, 0.2, 2)
-    batch = fit([one.u, two.u], [one.y, two.y], order, dt=0.01, method="ls")
-    tracked = last(one, two, order=order)
+    batch, tracked = fit([one.u, two.u], [one.y, two.y], order, dt=0.01, method="ls"), last(one, two, order=order)
     assert_allclose(tracked.theta, batch.theta, atol=1e-6)
     assert_allclose(tracked.standard_errors, batch.standard_errors, rtol=0.005)
     assert tracked.method is Method.RLS
@@ -336,8 +332,7 @@ def test_forgetting_follows_a_change_and_a_long_hover_does_not_wind_it_up() -> N
     weaker = ArxModel(WELL.a, 0.7 * WELL.b, 0.01, (2, 2, 1), Method.PUBLISHED)
     before, after = record(WELL, 3000, 0.0, 3), record(weaker, 3000, 0.0, 4)
     assert_allclose(last(before, after, forgetting=0.99).theta, weaker.theta, atol=1e-6)
-    still = Record(np.zeros(20_000), np.zeros(20_000), np.zeros(20_000))
-    data = record(WELL, 2000, 0.05, 5)
+    still, data = Record(np.zeros(20_000), np.zeros(20_000), np.zeros(20_000)), record(WELL, 2000, 0.05, 5)
     found = last(before, still, data, forgetting=0.99)
     assert_allclose(found.a, fit(data.u, data.y, dt=0.01, method="ls").a, atol=0.2)
 
@@ -345,8 +340,7 @@ def test_forgetting_follows_a_change_and_a_long_hover_does_not_wind_it_up() -> N
 def test_a_measured_response_lies_within_its_stated_error() -> None:
     data = record(WELL, 60_000, 0.3, 1)
     measured = estimate_response(data.u, data.y, dt=0.01, segment=512)
-    truth = model_response(WELL, measured.frequency_hz)
-    z = np.exp(2j * np.pi * measured.frequency_hz * 0.01)
+    truth, z = model_response(WELL, measured.frequency_hz), np.exp(2j * np.pi * measured.frequency_hz * 0.01)
     assert_allclose(truth, WELL.to_control()(z), rtol=1e-12)
     use = measured.frequency_hz > 0.5
     averages = 9 / 11 * (2 * 60_000 // 512 - 1)  # half-overlapping Hann windows are not independent (Welch 1967)
@@ -363,8 +357,7 @@ def test_a_measured_response_lies_within_its_stated_error() -> None:
 def test_the_order_that_made_the_data_is_chosen() -> None:
     train, other = record(WELL, 1500, 0.1, 0), record(WELL, 1000, 0.1, 100)
     rows = sweep(((one, 0, (train.u, train.y), (other.u, other.y)) for one in ORDERS), dt=0.01)
-    assert len(rows) == 3 * 5 * 5
-    assert best_row(rows).order == (2, 2, 1)
+    assert (len(rows), best_row(rows).order) == (3 * 5 * 5, (2, 2, 1))
 
 
 def test_a_variance_below_zero_makes_no_order_the_best(monkeypatch: pytest.MonkeyPatch) -> None:

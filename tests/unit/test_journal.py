@@ -122,8 +122,7 @@ def line(record: Record, when: When) -> str:
 def test_an_event_has_the_contracts_fields_and_both_clocks() -> None:
     found = json.loads(line(EventClosed(EVENT), WHEN))
     assert found.keys() >= CONTRACT
-    assert found["kind"] == "event"
-    assert (found["t_s"], found["end_s"], found["axis"]) == (60.0, 62.0, "roll")
+    assert (found["kind"], found["t_s"], found["end_s"], found["axis"]) == ("event", 60.0, 62.0, "roll")
     assert (found["fsd_s"], found["fml_s"], found["rotor"]) == (0.41, 0.12, None)
     assert (found["vehicle"], found["vehicle_s"]) == (1, 62.5)
     assert (found["utc"], found["start_utc"]) == ("2026-05-01T12:00:30.250Z", "2026-05-01T12:00:27.750Z")
@@ -211,8 +210,7 @@ def value(text: str, name: str) -> float:
 
 
 def test_the_figures_of_a_flight_are_on_the_page(metrics: Metrics) -> None:
-    bench = flown(metrics)
-    text = page(metrics)
+    bench, text = flown(metrics), page(metrics)
     bench.close()
     assert value(text, 'state{state="monitoring",vehicle="1"}') == 1
     assert value(text, 'state{state="lost",vehicle="1"}') == 0
@@ -245,8 +243,7 @@ def test_requests_that_are_never_ended_cost_no_thread_and_hide_no_page(caplog: p
 
 def test_the_dashboard_asks_only_for_figures_and_labels_that_there_are(metrics: Metrics) -> None:
     text = Path(__file__).parents[2].joinpath("deploy", "grafana-dashboard.json").read_text()
-    board = json.loads(text)
-    bench = flown(metrics, vehicles=2)
+    board, bench = json.loads(text), flown(metrics, vehicles=2)
     bench.close()
     served = page(metrics)
     known = set(re.findall(r"^# TYPE (\w+) ", served, re.MULTILINE))

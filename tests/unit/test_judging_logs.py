@@ -104,11 +104,9 @@ def test_b1_healthy_says_which_monitors_judged_for_how_long_and_which_did_not() 
 
 def test_the_exit_code_is_that_of_the_gravest_verdict() -> None:
     healthy, fault, unknown, error = Verdict.HEALTHY, Verdict.FAULT, Verdict.NOT_JUDGEABLE, Verdict.ERROR
-    assert exit_code([healthy]) == 0
-    assert exit_code([healthy, unknown]) == 3
+    assert (exit_code([healthy]), exit_code([healthy, unknown])) == (0, 3)
     assert exit_code([Verdict.SUSPECTED, unknown, healthy]) == 4
-    assert exit_code([unknown, Verdict.SUSPECTED, fault]) == 1
-    assert exit_code([fault, error, unknown]) == 2
+    assert (exit_code([unknown, Verdict.SUSPECTED, fault]), exit_code([fault, error, unknown])) == (1, 2)
     assert LogVerdict("x", error, "y").events == ()
 
 
@@ -421,8 +419,7 @@ def test_the_span_is_that_of_all_flights_and_of_what_they_carry() -> None:
         values = np.concatenate([column(measured(flight), condition) for flight in flights])
         assert (one.low, one.high) == (np.nanmin(values), np.nanmax(values))
     bare = {one.condition for one in covered_by([rows_of(example_rows(900, 0.01).block)])}
-    assert bare == set(Condition) - {Condition.THROTTLE, Condition.HEIGHT}
-    assert covered_by([]) == ()
+    assert (bare, covered_by([])) == (set(Condition) - {Condition.THROTTLE, Condition.HEIGHT}, ())
 
 
 def test_21_one_wrong_sample_does_not_widen_what_is_covered() -> None:

@@ -127,8 +127,7 @@ def make() -> tuple[Model, Condition]:
 
 
 def rest(speed: float = 0.0) -> RotorState:
-    thrust = np.full(4, K_F * speed**2)
-    turn = np.tile([1.0, 0.0], (4, 1))
+    thrust, turn = np.full(4, K_F * speed**2), np.tile([1.0, 0.0], (4, 1))
     return RotorState(np.full(4, speed), np.zeros(4), turn, np.zeros(4), np.zeros(4), thrust)
 
 
@@ -158,8 +157,7 @@ def test_wrench_of_one_rotor_is_its_column_of_the_allocation(rotor: int) -> None
     state = rest()
     state.speed[:] = speed
     state.thrust[:] = K_F * speed**2
-    wrench = step(state, model, condition, speed)
-    expected = allocation(qdrone2())[:, rotor] * K_F * HOVER**2
+    wrench, expected = step(state, model, condition, speed), allocation(qdrone2())[:, rotor] * K_F * HOVER**2
     np.testing.assert_allclose([-wrench[0, 2], *wrench[0, 3:6]], expected, atol=1e-12)
 
 
@@ -186,8 +184,7 @@ def test_lift_and_mass_torques_oppose_each_other() -> None:
 def test_fit_is_the_least_squares_fit_of_scipy(seed: int, noise_m: float) -> None:
     rng = np.random.default_rng(seed)
     turn, where = Rotation.from_quat(rng.standard_normal(4)), rng.uniform(-3, 3, 3)
-    seen = turn.apply(MARKERS) + where + noise_m * rng.standard_normal(MARKERS.shape)
-    visible = ALL.copy()
+    seen, visible = turn.apply(MARKERS) + where + noise_m * rng.standard_normal(MARKERS.shape), ALL.copy()
     if seed % 2:
         visible[rng.integers(len(visible))] = 0
     fit = np.zeros(RIGID)
@@ -306,8 +303,7 @@ def test_motors_are_off_or_idle_on_the_ground_and_the_integrals_wait(
     motors: float, height: float, armed: int, duty: float | None
 ) -> None:
     """A vehicle that is led to land keeps flying until it stands."""
-    state = fresh()
-    reference = np.array([0.3, 0.0, 0.2, 0.0, 0.0, 0.0, 0.0, 0.0, motors])
+    state, reference = fresh(), np.array([0.3, 0.0, 0.2, 0.0, 0.0, 0.0, 0.0, 0.0, motors])
     pose = np.array([0.0, 0.0, -height, 0.0])
     control(state, gains(), reference, pose, np.zeros(3), 0.0, np.zeros(9), None, 15.0, 0.001)
     assert state.motors[0] == armed
@@ -435,8 +431,7 @@ def test_yaw_rate_is_the_slope_of_yaw_which_stays_within_pi(shape: Shape, nose: 
 
 
 def flown(shape: Shape, seconds: float = 60.0, dt: float = 0.01, takeoff: bool = False) -> FloatArray:
-    one = path(shape, 1.0, 0.5, 0.0, 1.0, takeoff=takeoff)
-    out = np.empty((round(seconds / dt), REFERENCE))
+    one, out = path(shape, 1.0, 0.5, 0.0, 1.0, takeoff=takeoff), np.empty((round(seconds / dt), REFERENCE))
     for row in range(len(out)):
         reference(one, row * dt, out[row])
     return out

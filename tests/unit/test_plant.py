@@ -100,8 +100,7 @@ def test_unbalance_line_has_the_amplitude_of_its_force() -> None:
     # f = U w^2 (cos, sin). Yaw: I_z alpha = x f_y - y f_x, hub (-0.1016, 0.127). IMU at (10, 5) mm.
     force, hub, place = U * w * w, (-0.1016, 0.127), (0.010, 0.005)
     alpha = np.array([-hub[1], hub[0]]) * force / 0.0182  # coefficients of cos and sin
-    a_x = np.array([force / MASS, 0.0]) - alpha * place[1]
-    a_y = np.array([0.0, force / MASS]) + alpha * place[0]
+    a_x, a_y = np.array([force / MASS, 0.0]) - alpha * place[1], np.array([0.0, force / MASS]) + alpha * place[0]
     assert amplitude(samples.accel[:, 0], line_hz) == pytest.approx(gain * np.linalg.norm(a_x), rel=0.02)
     assert amplitude(samples.accel[:, 1], line_hz) == pytest.approx(gain * np.linalg.norm(a_y), rel=0.02)
     assert amplitude(samples.gyro[:, 2], line_hz) == pytest.approx(gain * np.linalg.norm(alpha) / w, rel=0.02)
@@ -176,8 +175,7 @@ def test_impossible_flights_are_refused_in_one_line(config: dict[str, str | int 
 # What is changed in flight: causes, wind, battery; and what the truth file says of it
 def test_injected_in_flight_is_as_configured_before_it() -> None:
     cause = Injection(RotorDamage(0.9, 1.2), rotor=2, onset_s=0.5, angle_rad=1.0)
-    configured = Plant(PlantConfig(trajectory="hover", seed=4, injections=(cause,))).advance(800)
-    plant = Plant(HOVER)
+    configured, plant = Plant(PlantConfig(trajectory="hover", seed=4, injections=(cause,))).advance(800), Plant(HOVER)
     before = plant.advance(500)
     plant.inject(cause)
     after = plant.advance(300)
@@ -271,8 +269,7 @@ def test_two_payloads_are_point_masses_about_the_common_centre() -> None:
     payloads = [Payload(mass, (float(at[0]), float(at[1]), float(at[2]))) for mass, at in parts[1:]]
     body, centre = body_with_payload(airframe, *payloads)
     total = sum(mass for mass, _ in parts)
-    expected = sum((mass * at for mass, at in parts), np.zeros(3)) / total
-    inertia = np.diag(airframe.inertia_kg_m2)
+    expected, inertia = sum((mass * at for mass, at in parts), np.zeros(3)) / total, np.diag(airframe.inertia_kg_m2)
     for mass, at in parts:
         r = at - expected
         inertia = inertia + mass * (r @ r * np.eye(3) - np.outer(r, r))
@@ -292,8 +289,7 @@ def test_momentum_and_angular_momentum_are_kept() -> None:
     x[6:10] = rng.normal(size=4)
     x[6:10] /= np.linalg.norm(x[6:10])
     R = quaternion_rotation(x[6:10])
-    place = x[:3] + R @ np.array(BESIDE.position_m)
-    speed = x[3:6] + R @ np.cross(x[10:13], BESIDE.position_m)
+    place, speed = x[:3] + R @ np.array(BESIDE.position_m), x[3:6] + R @ np.cross(x[10:13], BESIDE.position_m)
 
     def of_vehicle(body_inertia: FloatArray, mass: float) -> tuple[FloatArray, FloatArray]:
         p = mass * x[3:6]

@@ -38,8 +38,7 @@ def flown(seed: int, push: FloatArray, n: int = N) -> Rows:
     steps = np.repeat(rng.normal(0, 0.1, (n // 200 + 1, 3)), 200, axis=0)[:n]
     setpoint = lfilter([0.1], [1, -0.9], steps, axis=0)
     rate = lfilter(MODEL[1], MODEL[0], body_rates(setpoint), axis=0)
-    thrust = 0.3 + lfilter([0.05], [1, -0.95], rng.normal(0, 0.05, n))
-    force = np.zeros((n, 3))
+    thrust, force = 0.3 + lfilter([0.05], [1, -0.95], rng.normal(0, 0.05, n)), np.zeros((n, 3))
     force[:, 2] = -9.81 * lfilter([0.3], [1, -0.7], thrust) / 0.3
     rate[:, :2] += push[:, :2]
     force[:, 2] += push[:, 2]
@@ -64,8 +63,7 @@ def spec() -> RotorSignatureSpec:
 def test_a_wandering_rotor_raises_the_statistic_and_is_named(spec: RotorSignatureSpec, rotor: int) -> None:
     roll, pitch, _ = layout_named("qdrone2").signs[rotor - 1]
     push = 0.1 * wander(rotor) * [roll, pitch, -4.0]
-    faulty = read(RotorSignature(spec), flown(10, push))
-    calm = read(RotorSignature(spec), flown(10, CALM))
+    faulty, calm = read(RotorSignature(spec), flown(10, push)), read(RotorSignature(spec), flown(10, CALM))
     assert float(calm.value[calm.valid].max()) < 3.0
     settled = faulty.valid & (faulty.t_ns > 15e9)  # until the window is full healthy values stand for the rest
     assert float(faulty.value[settled].min()) > 5.0
@@ -79,8 +77,7 @@ def residuals(motion: HealthyMotion, rows: Rows, follows: bool = True) -> Residu
 
 def test_statistic_follows_its_formula(spec: RotorSignatureSpec) -> None:
     rows = flown(13, 0.1 * wander(5) * [1.0, 1.0, -4.0])
-    d = residuals(spec.motion, rows)
-    found = read(RotorSignature(spec), rows)
+    d, found = residuals(spec.motion, rows), read(RotorSignature(spec), rows)
     n = d.n[-spec.samples :]
     cor = [
         np.sum(n[:, i] * n[:, j]) / np.sqrt(np.sum(n[:, i] ** 2) * np.sum(n[:, j] ** 2))
@@ -96,11 +93,9 @@ def test_statistic_follows_its_formula(spec: RotorSignatureSpec) -> None:
 
 
 def test_residuals_are_free_run_by_scipy(spec: RotorSignatureSpec) -> None:
-    motion = dataclasses.replace(spec.motion, k0=(1.0, 1.0, 1.0), k1=(0.0, 0.0, 0.0))
-    rows = flown(14, CALM)
+    motion, rows = dataclasses.replace(spec.motion, k0=(1.0, 1.0, 1.0), k1=(0.0, 0.0, 0.0)), flown(14, CALM)
     d = residuals(motion, rows, follows=False)
-    r = rows.rates.y[:, 0] - lfilter(motion.roll.b, motion.roll.a, rows.rates.u[:, 0])
-    alpha = 1 - np.exp(-DT_S)
+    r, alpha = rows.rates.y[:, 0] - lfilter(motion.roll.b, motion.roll.a, rows.rates.u[:, 0]), 1 - np.exp(-DT_S)
     r[:150] = 0
     r -= lfilter([alpha], [1, alpha - 1], r)
     np.testing.assert_allclose(d.r[1500:, 0], r[1500:], atol=1e-6)  # the start from the first measured rate dies out
@@ -112,8 +107,7 @@ def test_gain_errors_are_the_recursive_least_squares_of_the_last_seconds(spec: R
     rows = flown(19, CALM)
     r, found = residuals(spec.motion, rows, follows=False).r[:, 0], residuals(spec.motion, rows).r[:, 0]
     y_sim = lfilter(spec.motion.roll.b, spec.motion.roll.a, rows.rates.u[:, 0])
-    slope = 0.05 * np.diff(y_sim, prepend=0.0) / DT_S
-    alpha = 1 - np.exp(-DT_S)
+    slope, alpha = 0.05 * np.diff(y_sim, prepend=0.0) / DT_S, 1 - np.exp(-DT_S)
     F = np.column_stack([x - lfilter([alpha], [1, alpha - 1], x) for x in (y_sim, slope)])
     forget = 1 - np.exp(-DT_S / 10.0)
     for at in (1000, 2000, 2900):

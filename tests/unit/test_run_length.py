@@ -88,13 +88,11 @@ def responding(n: int, seed: int, *, noise: float = 0.02, busy: float = 0.2, bia
 
 def test_the_level_is_that_of_textbook_filters() -> None:
     rows, spec = responding(3000, 1), fit([[responding(6000, 2)]])
-    found = read(Innovation(spec), rows)
-    t = np.searchsorted(rows.block.t_ns, rows.rates.t_ns)
+    found, t = read(Innovation(spec), rows), np.searchsorted(rows.block.t_ns, rows.rates.t_ns)
     z = []
     for k in range(3):
         y, u = rows.block.rate[t, k] - spec.mean[k], rows.rates.u[:, k]
-        e = lfilter([1, *spec.a[k]], [1], y) - lfilter([0, *spec.b[k]], [1], u)
-        alpha = 1 - np.exp(-DT_S / 0.35)
+        e, alpha = lfilter([1, *spec.a[k]], [1], y) - lfilter([0, *spec.b[k]], [1], u), 1 - np.exp(-DT_S / 0.35)
         busy = lfilter([alpha], [1, alpha - 1], u**2)
         z.append(e / np.sqrt(spec.k0[k] + spec.k1[k] * busy))
     square = np.mean(np.square(z), axis=0)
@@ -105,8 +103,7 @@ def test_the_level_is_that_of_textbook_filters() -> None:
 
 def test_the_fit_is_least_squares_with_the_variance_law_of_its_errors() -> None:
     rows = responding(6000, 3)
-    spec = fit([[rows]])
-    t = np.searchsorted(rows.block.t_ns, rows.rates.t_ns)
+    spec, t = fit([[rows]]), np.searchsorted(rows.block.t_ns, rows.rates.t_ns)
     for k in range(3):
         y, u = rows.block.rate[t, k] - spec.mean[k], rows.rates.u[:, k]
         n = len(y)
@@ -138,8 +135,7 @@ def test_a_rotor_s_line_that_a_load_moves_is_not_leant_on() -> None:  # from 155
 
 
 def test_one_wild_sample_adds_no_more_than_its_bound() -> None:
-    spec = fit([[responding(6000, 11)]])
-    rate = np.random.default_rng(12).normal(0, 0.02, (3000, 3))
+    spec, rate = fit([[responding(6000, 11)]]), np.random.default_rng(12).normal(0, 0.02, (3000, 3))
     wild = rate.copy()
     wild[1000] = 1e300
     calm, shocked = (read(Innovation(spec), example_rows(3000, DT_S, rate=x)) for x in (rate, wild))
@@ -149,8 +145,7 @@ def test_one_wild_sample_adds_no_more_than_its_bound() -> None:
 
 
 def test_one_rough_row_more_makes_no_leap() -> None:
-    spec = fit([[responding(6000, 11)]])
-    rate = np.random.default_rng(12).normal(0, 0.02, (1200, 3))
+    spec, rate = fit([[responding(6000, 11)]]), np.random.default_rng(12).normal(0, 0.02, (1200, 3))
     squares = []
     for many in range(25):
         rough = rate.copy()

@@ -358,8 +358,7 @@ def test_a_message_that_changes_to_unix_time_is_laid_over_its_old_clock() -> Non
     true = np.arange(400) * 10 * MS
     raw = np.where(true < 2 * S, 5_000_000, EPOCH_US) + true // 1000
     time, (t_ns,) = taken((US_64, raw, 77 * S + true))
-    assert t_ns[:200].tolist() == (5 * S + true[:200]).tolist()
-    assert (t_ns[200], time.reboots) == (NEVER, 0)
+    assert (t_ns[:200].tolist(), t_ns[200], time.reboots) == ((5 * S + true[:200]).tolist(), NEVER, 0)
 
 
 @pytest.mark.parametrize("turns", [0, 1, 2, 7])
@@ -379,8 +378,7 @@ def test_b9_a_vehicle_starts_anew_after_silence(silent_s: float, uptime_s: float
     raw = np.concatenate([[900_000], round(1000 * uptime_s) + 10 * np.arange(3)])
     host = np.concatenate([[5 * S], 5 * S + round(silent_s * S) + 10 * MS * np.arange(3)])
     time, (t_ns,) = taken((MS_32, raw, host))
-    assert time.reboots == anew
-    assert (t_ns > NEVER).tolist() == [True, False, False, anew]
+    assert (time.reboots, (t_ns > NEVER).tolist()) == (anew, [True, False, False, anew])
 
 
 def stream() -> tuple[IntArray, IntArray]:
@@ -397,8 +395,7 @@ def test_a_stamp_that_leaps_is_left_out_and_the_stream_goes_on(ahead_ms: int, si
     forged = np.arange(200, 1000, 20)
     mixed = (MS_32, np.insert(raw, forged, raw[forged] + ahead_ms), np.insert(host, forged, host[forged]))
     time, (t_ns,) = taken(mixed, size=size)
-    assert t_ns[t_ns > NEVER].tolist() == (raw * MS).tolist()
-    assert time.leaps == len(forged)
+    assert (t_ns[t_ns > NEVER].tolist(), time.leaps) == ((raw * MS).tolist(), len(forged))
 
 
 @pytest.mark.parametrize("size", [1, 7, 10_000])
@@ -452,8 +449,7 @@ class Link:
             here = true[(rng.random(len(true)) >= 0.05) & (true >= k * S // 2)]  # the reference comes first
             clock_ns = start_ns + here + np.rint(here * ppm * 1e-6).astype(np.int64)
             clock_ns += np.where(here > 60 * S, k * step_ns, 0)
-            raw = clock_ns // counter.tick_ns
-            delay = 2_000_000 + rng.exponential(4e6, len(here)).astype(np.int64)
+            raw, delay = clock_ns // counter.tick_ns, 2_000_000 + rng.exponential(4e6, len(here)).astype(np.int64)
             self.true.append(here)
             self.raw.append(raw % counter.turn if counter.turn else raw)
             self.host.append(np.maximum.accumulate(77 * S + here + delay))
@@ -489,7 +485,6 @@ def test_a_clock_that_is_set_is_laid_anew_within_seconds(step_s: float) -> None:
     """GPS or a network sets the unix time in flight: no drift explains it, and 5 s would take 10,000 s to slew."""
     link = Link(5, (MS_32, 3 * S, 0.0), (US_64, EPOCH_NS, 20.0), 120, step_ns=round(step_s * S))
     _, _, laid = link.placed()
-    error = np.abs(link.error_ns(3 * S, 0.0, laid))
-    true = link.taken[1][-len(laid) :]
+    error, true = np.abs(link.error_ns(3 * S, 0.0, laid)), link.taken[1][-len(laid) :]
     assert error[true > 65 * S].max() < 3_000_000
     assert error[true < 60 * S].max() < 3_000_000

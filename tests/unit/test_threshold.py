@@ -187,11 +187,9 @@ def broken(flights: int, sessions: int, prior: Prior, rng: np.random.Generator) 
     session, flight, block = (
         sd * math.sqrt(DEGREES / rng.chisquare(DEGREES)) for sd in (prior.session, prior.flight, prior.block)
     )
-    beta = block * math.sqrt(6) / math.pi
-    whose = np.arange(flights) % sessions
+    beta, whose = block * math.sqrt(6) / math.pi, np.arange(flights) % sessions
     taught = rng.normal(0, session, sessions)
-    offsets = taught[whose] + rng.normal(0, flight, flights)
-    numbers = np.repeat(np.arange(flights), FLIGHT_BLOCKS)
+    offsets, numbers = taught[whose] + rng.normal(0, flight, flights), np.repeat(np.arange(flights), FLIGHT_BLOCKS)
     x = 0.03 + offsets[numbers] + rng.gumbel(-np.euler_gamma * beta, beta, len(numbers))
     scores = Scores(x, np.full(len(x), 10.0), numbers)
     found = [threshold_of(scores, sessions=whose.tolist(), budget_per_hour=one, prior=prior) for one in BUDGETS]
@@ -282,8 +280,7 @@ def test_a_rise_is_found_named_and_dated() -> None:
     trims[8:] += 0.15 * COLUMNS[:, 2]
     found = evidence_of(flights(trims, 5), COLUMNS, PRIORS)
     assert found.odds > 1000
-    assert int(np.argmax(found.shares)) == 2
-    assert found.since == 3
+    assert (int(np.argmax(found.shares)), found.since) == (2, 3)
     many = np.zeros((400, 2))  # overflow nothing
     many[10:] = 0.5 * COLUMNS[:, 0]
     found = evidence_of(flights(many, 10), COLUMNS, PRIORS)

@@ -116,8 +116,7 @@ def test_acknowledgements_and_commands_are_handed_out() -> None:
     targets = ((1, computer), (1, Component.AUTOPILOT1), (9, computer))
     ask = [station.encode(MessageId.COMMAND_LONG, *target, MavCmd.REQUEST_MESSAGE) for target in targets]
     received = decoder.feed(as_columns([(b"".join([ours, other, *ask]), S)]), S)
-    assert list(received) == [1]
-    assert received[1].acks == (Ack(MavCmd.SET_MESSAGE_INTERVAL, MavResult.DENIED),)
+    assert (list(received), received[1].acks) == ([1], (Ack(MavCmd.SET_MESSAGE_INTERVAL, MavResult.DENIED),))
     assert [command_in(frame) for frame in received[1].asked] == [Command(MavCmd.REQUEST_MESSAGE, 255, 190)]
     assert received[1].alive
     assert not decoder.feed(as_columns([(b"".join(ask), 2 * S)]), 2 * S)[1].alive
@@ -262,8 +261,7 @@ def test_a_careful_decoder_wants_two_heartbeats_of_one_sender() -> None:
         chunks = sender.chunks(100)
         link.feed(as_columns(chunks, [HERE] * len(chunks)), chunks[-1][1])
         assert bool(link.vehicles) is (k > 0)
-    assert (link.source(1), link.sources_since(2 * S)) == (HERE, [HERE])
-    assert link.sources_since(30 * S) == []
+    assert (link.source(1), link.sources_since(2 * S), link.sources_since(30 * S)) == (HERE, [HERE], [])
 
 
 def test_why_a_vehicle_waits_is_told_after_seconds() -> None:

@@ -226,8 +226,7 @@ def test_a_replay_that_jumps_begins_anew_for_every_page() -> None:
         board.take(line)
     found = events(reader.next())
     assert [one["event"] for one in found] == ["hello", "about", "now", "entry"]
-    assert json.loads(found[0]["data"]) == {"run": "r-1", "newest": 0, "fresh": True}
-    assert found[-1]["id"] == "r-1-1"
+    assert (json.loads(found[0]["data"]), found[-1]["id"]) == ({"run": "r-1", "newest": 0, "fresh": True}, "r-1-1")
     again = [one["event"] for one in events(board.enter(1, parse_last("r-20", board.run)).next())]
     assert again == ["hello", "playing", "about", "now", "entry"]
 
