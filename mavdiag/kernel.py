@@ -1,7 +1,7 @@
 """The one pass over rows of flight: every monitor, what the envelope lets count, and what the decision looks at.
 
     rows ─▶ columns x ─▶ bins of conditions ─▶ each slot: its monitor's loop ─▶ value, as the envelope lets it count
-         ─▶ a record for each slot and look (40 ms), alarms, and how long each slot judged
+         ─▶ a record for each slot and look (80 ms), alarms, and how long each slot judged
 
 A value belongs to the first look at which it is known: its time stamp and the monitor's delay have passed, and its row
 has come. So no look depends on how the rows were cut. All of a segment's memory is in a few arrays.
@@ -31,8 +31,8 @@ from mavdiag.telemetry import Axis, FloatArray, IntArray, Signal
 from mavdiag.thresholds.envelope import ORDER, Covered, excess_of, farthest, limits_of, seen_from
 from mavdiag.units import NS_PER_MS, NS_PER_S
 
-LOOK_NS = 40 * NS_PER_MS  # between two looks: whole periods of 25 and 50 Hz, whose samples rows wait for (our choice)
-STALE_LOOKS = 24  # a slot whose last valid value is older does not count (our choice)
+LOOK_NS = 80 * NS_PER_MS  # between two looks; 40 would take twice as much of the processor, live (our choice)
+STALE_LOOKS = 12  # a slot whose last valid value is older does not count (our choice)
 CALM_BELOW = 0.7  # of the threshold (our choice)
 LATE_NS = NS_PER_S  # so much a value may come after the rows of its time: half a filter's window (our choice)
 WAITING = "waiting for enough unbroken flight"  # why a monitor does not judge although its signals are known

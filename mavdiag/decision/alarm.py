@@ -13,7 +13,7 @@ another episode. The end of a flight turns it into an open inspection, until it 
 most certain name of a rotor holds. A trim that the fall of a named rotor's command explains better than the rise of any
 does not count while a fault is held: that rotor is mended, or another one carries its load no longer.
 
-Time is looked at every 40 ms of the vehicle's clock, when everything up to then is known, so that a live link and its
+Time is looked at every 80 ms of the vehicle's clock, when everything up to then is known, so that a live link and its
 recording give the same.
 """
 
