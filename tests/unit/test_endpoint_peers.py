@@ -22,7 +22,7 @@ from mavdiag.link.codec import Encoder
 from mavdiag.link.datagrams import Datagrams, as_columns
 from mavdiag.link.messages import MessageId
 from mavdiag.link.ports import Endpoint, SocketAddress, open_endpoint, wait
-from mavdiag.link.ports.base import RETRY_MAX_S, RETRY_S
+from mavdiag.link.ports.base import RETRY_MAX_S, RETRY_S, Stream
 from mavdiag.link.ports.serial import Serial
 from mavdiag.link.ports.tcp import CLIENTS_MAX
 from mavdiag.link.ports.udp import PEERS_MAX
@@ -414,6 +414,17 @@ def test_a_peer_that_is_gone_is_no_error(link: Link) -> None:
         link.near.receive(0.01)
         link.near.send(FRAME)
     assert link.near.traffic.sent + link.near.traffic.dropped == 6
+
+
+def test_why_a_stream_ended_is_known_though_a_message_was_sent_first() -> None:
+    """Nobody was told that a link behind was refused, where the machine had much to do."""
+    with socket.socket() as closed, socket.socket() as link:
+        closed.bind(("127.0.0.1", 0))
+        link.setblocking(False)
+        link.connect_ex(closed.getsockname())
+        stream = Stream(link.fileno(), link.close)
+        assert (stream.write(FRAME), stream.read()) == (False, None)
+        assert isinstance(stream.error, ConnectionRefusedError)
 
 
 def test_a_closed_endpoint_does_nothing_and_raises_nothing(link: Link) -> None:

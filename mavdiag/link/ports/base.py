@@ -159,7 +159,10 @@ class Stream:
                 return False
             self._tail = data[os.write(self.fileno, data) :]
             return True
-        except OSError:  # full, or ended: the next read shows which
+        except (BlockingIOError, BrokenPipeError):  # full, or ended: the next read shows which
+            return False
+        except OSError as error:  # the system says it once, to who asks first
+            self.error = error
             return False
 
 
