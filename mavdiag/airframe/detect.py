@@ -118,10 +118,12 @@ def wired(effects: FloatArray, layout: RotorLayout) -> FloatArray:
     effects, B = effects / sizes[:, None], B / np.linalg.norm(B, axis=1)[:, None]
     own = np.einsum("kr,kr->k", effects[:, : layout.rotors], B)
     if own.min() < CLEAR:
-        from scipy.optimize import linear_sum_assignment
-
-        places, rotors = linear_sum_assignment(-(effects.T @ B))
-        if np.einsum("kr,kr->k", effects[:, places], B[:, rotors]).min() < CLEAR:
+        apart = np.linalg.norm(effects[:, :, None] - B[:, None], axis=0)  # (outputs, rotors): a clear order is nearest
+        places = list[int]()
+        for rotor in range(layout.rotors):
+            places.append(int(apart[:, rotor].argmin()))
+            apart[places[-1]] = np.inf
+        if np.einsum("kr,kr->k", effects[:, places], B).min() < CLEAR:
             return np.full(2, np.nan)
     return np.asarray(own, dtype=np.float64)
 

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Discriminator, Field, PositiveFloat,
 from mavdiag.airframe.airframe import Airframe, Scope
 from mavdiag.airframe.layout import LAYOUTS, Place, RotorLayout, layout_at, layout_named, layout_of_effects
 from mavdiag.errors import InputError, UsageError
-from mavdiag.rows.gate import GateSpec
+from mavdiag.rows.gate import GateSpec, Height, Share, Span
 from mavdiag.storage import parse_toml, read_toml
 from mavdiag.units import RPM
 
@@ -45,11 +45,11 @@ _Rotor: TypeAlias = Annotated[
 
 
 class _Gate(_Table):
-    min_height_m: Annotated[float, Field(ge=-100, le=1000)] | None = None
-    min_thrust: Annotated[float, Field(ge=0, le=1)] | None = None
+    min_height_m: Height | None = None
+    min_thrust: Share | None = None
     need_armed: bool = True
-    trim_start_s: Annotated[float, Field(ge=0, le=600)] = 3.0
-    trim_end_s: Annotated[float, Field(ge=0, le=600)] = 0.0
+    trim_start_s: Span = 3.0
+    trim_end_s: Span = 0.0
 
 
 class _File(_Table):

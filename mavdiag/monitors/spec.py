@@ -7,9 +7,9 @@ from pydantic import ConfigDict, Field, ValidationError
 from pydantic.dataclasses import dataclass
 
 from mavdiag.errors import InputError
+from mavdiag.rows.quality import NotNegative as NotNegative
 
 Positive: TypeAlias = Annotated[float, Field(gt=0)]
-NotNegative: TypeAlias = Annotated[float, Field(ge=0)]
 Delay: TypeAlias = Annotated[float, Field(ge=0, le=60)]  # [s], hundreds of times the longest of the rate filters
 
 Made = TypeVar("Made", bound=type[Any])

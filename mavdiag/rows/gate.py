@@ -17,9 +17,10 @@ f0 and u0: usual force and thrust, slow EMAs. A rotor's force grows as r or r^2.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any, TypeAlias
 
 import numpy as np
+from pydantic import Field
 
 import mavdiag.rows.block as col
 from mavdiag.jit import cached_loop, jit
@@ -49,6 +50,10 @@ IDLE_OUTPUT = 0.15  # ArduPilot's MOT_SPIN_MIN by default: a motor that carries 
 THRUST_CODE, NEVER_NS = DOUBTS.index(Doubt.THRUST), -(2**62)
 
 ALL_TELL = np.empty(0, dtype=np.bool_)
+# What some vehicle may fly by, where a file tells it [m, share of full thrust, s].
+Height: TypeAlias = Annotated[float, Field(ge=-100, le=1000)]
+Share: TypeAlias = Annotated[float, Field(ge=0, le=1)]
+Span: TypeAlias = Annotated[float, Field(ge=0, le=600)]
 
 # The segment of the rows before the gate, its first row; whether it is in the air; whether the data broke off in the
 # air, so that what flies next has not taken off; number of the flying span; when thrust was known last; until when rows
@@ -123,12 +128,12 @@ class GateSpec:
     least_shake: where thrust and height are not known a take-off begins with this gyro noise (`shake`) [rad/s].
     """
 
-    min_height_m: float | None = None
-    min_thrust: float | None = None
+    min_height_m: Height | None = None
+    min_thrust: Share | None = None
     need_armed: bool = True
-    trim_start_s: float = 0.0
-    trim_end_s: float = 0.0
-    least_shake: float | None = None
+    trim_start_s: Span = 0.0
+    trim_end_s: Span = 0.0
+    least_shake: Annotated[float, Field(ge=0, le=10)] | None = None
 
     def start(self) -> GateState:
         """A fresh state: nothing flies yet."""

@@ -352,7 +352,7 @@ def test_a_flight_within_an_hour_of_a_healthy_one_is_of_its_session(started_ns: 
     [
         (("link", "dt_s"), -1.0, "link.dt_s"),
         (("link", "gate", "colour"), 1.0, "link.gate"),
-        (("link", "gate", "min_thrust"), 7.0, "link.gate: min_thrust"),
+        (("link", "gate", "min_thrust"), 7.0, "link.gate.min_thrust"),
         (("window", "samples"), 100, "window"),
         (("link_quality", "habits", 0, "period_s"), 0.0, "link_quality.habits.0.period_s"),
         (("monitors", FSD, "spec", "model", "a"), [1.0], "monitors.0.spec"),
