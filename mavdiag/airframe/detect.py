@@ -23,6 +23,7 @@ from mavdiag.telemetry import FloatArray
 
 SPAN_S = 0.1  # changes over this time: longer than output periods and motor lag, shorter than trims (our choice)
 LAGS_S = (0.0, 0.02, 0.04, 0.06, 0.1, 0.15)  # of the acceleration: motor lag and gyro filter (our choice)
+CHANGES = 16  # that begin within one: outputs come at 50 Hz and more (our choice)
 MIN_CHANGES = 40  # spans without overlap (our choice)
 TOGETHER = 4096  # rows of one product: below the size that BLAS threads (our choice)
 PIECE_ROWS = 1 << 16  # that are in memory at a time (our choice)
@@ -239,10 +240,12 @@ def _fit(blocks: Iterable[Block], columns: Sequence[int], drivers: Sequence[int]
     products = np.zeros((len(lags_s), outputs + 4, outputs + 4))
     for dt_s, table in _pieces(blocks, columns, carried[0], lags_s[-1]):
         span = max(1, round(SPAN_S / dt_s))
-        n, overlap = table.shape[1] - span - round(lags_s[-1] / dt_s), max(overlap, span)
+        step = max(1, span // CHANGES)
+        n, overlap = table.shape[1] - span - round(lags_s[-1] / dt_s), max(overlap, span // step)
         for sums, lag in zip(products, (round(lag_s / dt_s) for lag_s in lags_s if n > 0), strict=False):
-            w, x = table[:outputs, : span + n], table[outputs:, lag : lag + span + n]
-            changes = np.vstack([w[:, span:] - w[:, :n], x[:, span:] - x[:, :n], np.ones((1, n))])
+            w, x = table[:outputs], table[outputs:, lag:]
+            rows = [one[:, span : span + n : step] - one[:, :n:step] for one in (w, x)]
+            changes = np.vstack([*rows, np.ones((1, rows[0].shape[1]))])
             changes = changes[:, np.isfinite(changes).all(axis=0)]
             for first in range(0, changes.shape[1], TOGETHER):
                 part = changes[:, first : first + TOGETHER]
@@ -262,10 +265,11 @@ def _solved(products: FloatArray, overlap: int, driver: str) -> _Fit | None:
     scale = np.where(scale > 0, scale, 1.0)
     wx, xx = wx / scale, xx / scale / scale[:, None]
     # [ X'X ] effects = [ X'W ]; drivers that move together by nature leave the smallest effects
-    effects = np.asarray(np.linalg.pinv(xx, rcond=SINGULAR, hermitian=True) @ wx.T)
+    inverse = np.linalg.pinv(xx, rcond=SINGULAR, hermitian=True)
+    effects = np.asarray(inverse @ wx.T)
     explained = np.einsum("kr,kl,lr->r", effects, xx, effects)
     left = np.maximum(np.diag(ww) - 2 * np.einsum("kr,rk->r", effects, wx) + explained, 0.0)
-    noise = overlap * left.sum() / (n * len(ww)) * np.diag(np.linalg.pinv(xx))  # of an effect; spans overlap
+    noise = overlap * left.sum() / (n * len(ww)) * np.diag(inverse)  # of an effect; spans overlap
     F = np.asarray(np.square(effects).mean(axis=1) / np.maximum(noise, TINY), dtype=np.float64)
     followed = np.asarray(explained / 3 / np.maximum(overlap * left / n, TINY), dtype=np.float64)
     return _Fit(driver, effects, F, followed, 1 - float(left.sum()) / moved, np.asarray(xx / n))

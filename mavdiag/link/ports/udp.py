@@ -128,9 +128,14 @@ class _Udp(Endpoint):
 
     def _read(self, link: socket.socket, pieces: list[Datagrams], units: float) -> float:
         """Take what is there, as far as so many units allow; returns how many are left."""
+        account, place = _account(link), link.fileno()
+        self._count.overflowed += account[_DROPS] - self._lost.get(place, 0)
+        self._lost[place] = account[_DROPS]
+        if link.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
+            self._refused()
         try:
-            while units >= 1.0:
-                taken = self._mail.take(link.fileno(), int(units))
+            while units >= 1.0 and account[_WAITING]:
+                taken = self._mail.take(place, int(units))
                 pieces.append(taken)
                 self._note_senders(taken.peers)
                 units -= len(taken) + len(taken.data) // UNIT_BYTES
@@ -140,9 +145,6 @@ class _Udp(Endpoint):
             pass
         except OSError:  # an earlier datagram came back refused, or the network is down: nothing was received
             self._refused()
-        lost = _account(link)[_DROPS]
-        self._count.overflowed += lost - self._lost.get(link.fileno(), 0)
-        self._lost[link.fileno()] = lost
         return units
 
     def _note_senders(self, peers: Iterable[SocketAddress]) -> None:
