@@ -22,8 +22,8 @@ from mavdiag.rows.block import Block
 from mavdiag.telemetry import FloatArray
 
 SPAN_S = 0.1  # changes over this time: longer than output periods and motor lag, shorter than trims (our choice)
+ROW_S = SPAN_S / 16  # between rows that are looked at, at least: outputs come at 50 Hz and more (our choice)
 LAGS_S = (0.0, 0.02, 0.04, 0.06, 0.1, 0.15)  # of the acceleration: motor lag and gyro filter (our choice)
-CHANGES = 16  # that begin within one: outputs come at 50 Hz and more (our choice)
 MIN_CHANGES = 40  # spans without overlap (our choice)
 TOGETHER = 4096  # rows of one product: below the size that BLAS threads (our choice)
 PIECE_ROWS = 1 << 16  # that are in memory at a time (our choice)
@@ -97,7 +97,7 @@ def wiring(block: Block, layout: RotorLayout, outputs: int) -> FloatArray:
 
     Where none of the rotors' outputs moves it is done to others.
     """
-    found, motors = np.zeros((2, outputs)), list(range(layout.rotors))
+    found, motors, block = np.zeros((2, outputs)), list(range(layout.rotors)), _thinned(block)
     moving = [column for column in moving_outputs([block]) if column < outputs]
     columns = motors if set(moving) & set(motors) or len(moving) < FEWEST else moving
     fit = _fit([block], columns, (0, 2)) if moving else None  # judging may leave out the rates' set-points
@@ -151,7 +151,7 @@ def moving_outputs(blocks: Iterable[Block]) -> list[int]:
     """List the columns of the outputs that change in valid rows and carry: what stands still or idles is no motor."""
     width = max((block.actuator.shape[1] for block in blocks if len(block)), default=0)
     low, high, total, count = np.array([[np.inf], [-np.inf], [0.0], [0.0]]) * np.ones(width)
-    for block in blocks:
+    for block in map(_thinned, blocks):
         outputs = block.actuator.T
         own, known = slice(0, len(outputs)), np.isfinite(outputs) & block.valid
         low[own] = np.minimum(low[own], np.where(known, outputs, np.inf).min(axis=1, initial=np.inf))
@@ -159,6 +159,13 @@ def moving_outputs(blocks: Iterable[Block]) -> list[int]:
         total[own] += np.where(known, outputs, 0.0).sum(axis=1)
         count[own] += known.sum(axis=1)
     return np.flatnonzero((high > low) & (total / np.maximum(count, 1) > MIN_OUTPUT)).tolist()
+
+
+def _thinned(block: Block) -> Block:
+    step = int(ROW_S / block.dt_s)
+    if step < 2:
+        return block
+    return Block(block.segment, step * block.dt_s, block.t_ns[::step], block.x[:, ::step].copy(), block.outputs)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -204,7 +211,7 @@ def _pieces(
 ) -> Iterator[tuple[float, FloatArray]]:
     """Period and [ w x ]' of unbroken rows, `PIECE_ROWS` at a time; what a change reaches over comes twice."""
     rows, last = list[FloatArray](), None
-    for block in blocks:
+    for block in map(_thinned, blocks):
         if not len(block):
             continue
         if last is not None and not (
@@ -228,7 +235,7 @@ def _pieces(
 def _fit(blocks: Iterable[Block], columns: Sequence[int], drivers: Sequence[int] = range(3)) -> _Fit | None:
     """By the first of the drivers that is known most of the time."""
     judged, known = 0, np.zeros(len(DRIVERS), dtype=np.int64)
-    for block in blocks:
+    for block in map(_thinned, blocks):
         flown = np.isfinite(_shares(block, columns)[0])
         judged += int(np.count_nonzero(flown))
         known += [np.count_nonzero(flown & np.isfinite(x).all(axis=0)) for x in _drivers(block)]
@@ -240,12 +247,10 @@ def _fit(blocks: Iterable[Block], columns: Sequence[int], drivers: Sequence[int]
     products = np.zeros((len(lags_s), outputs + 4, outputs + 4))
     for dt_s, table in _pieces(blocks, columns, carried[0], lags_s[-1]):
         span = max(1, round(SPAN_S / dt_s))
-        step = max(1, span // CHANGES)
-        n, overlap = table.shape[1] - span - round(lags_s[-1] / dt_s), max(overlap, span // step)
+        n, overlap = table.shape[1] - span - round(lags_s[-1] / dt_s), max(overlap, span)
         for sums, lag in zip(products, (round(lag_s / dt_s) for lag_s in lags_s if n > 0), strict=False):
-            w, x = table[:outputs], table[outputs:, lag:]
-            rows = [one[:, span : span + n : step] - one[:, :n:step] for one in (w, x)]
-            changes = np.vstack([*rows, np.ones((1, rows[0].shape[1]))])
+            w, x = table[:outputs, : span + n], table[outputs:, lag : lag + span + n]
+            changes = np.vstack([w[:, span:] - w[:, :n], x[:, span:] - x[:, :n], np.ones((1, n))])
             changes = changes[:, np.isfinite(changes).all(axis=0)]
             for first in range(0, changes.shape[1], TOGETHER):
                 part = changes[:, first : first + TOGETHER]
