@@ -209,7 +209,8 @@ class Column:
     """
 
     def __init__(self, like: NDArray[Any]) -> None:
-        self._none, self._pieces, self._size = like[:0].copy(), list[NDArray[Any]](), 0  # what is not in the file
+        self._none, self._size = like[:0].copy(), 0
+        self._pieces: list[NDArray[Any]] = []  # what is not in the file
         self._file: BinaryIO | None = None
 
     def add(self, rows: NDArray[Any]) -> None:

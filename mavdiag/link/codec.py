@@ -442,19 +442,19 @@ class Decoder:
 
     def _scan(self, data: Bytes, chunks: IntArray, *, whole: bool) -> tuple[Frames, int]:
         found = np.empty(len(data) // (_SHORTEST_V1 + self._gap) + 1, FRAME)
-        count, used = _find(data, anywhere(data, "<i8"), chunks, whole, self._gap, _KNOWN, _tables(), found)
+        count, used, sound = _find(data, anywhere(data, "<i8"), chunks, whole, self._gap, _KNOWN, _tables(), found)
         rows = found[:count]
         if count:
             self.sound_end = self.size + int(rows["after"][-1])
-            self._sound += int((rows["after"] - rows["begin"]).sum()) + self._gap * count
+            self._sound += sound + self._gap * count
             self.records += count
-            rows = self._admitted(data, rows)
+            chosen = self._admitted(data, rows) & self._wanted[rows["row"]]
+            rows = rows if chosen.all() else _those(rows, chosen)
         self.size += used
-        wanted = self._wanted[rows["row"]]
-        return Frames(data, rows if wanted.all() else _those(rows, wanted)), used
+        return Frames(data, rows), used
 
-    def _admitted(self, data: Bytes, rows: NDArray[np.void]) -> NDArray[np.void]:
-        """The frames that are genuine, and whose senders are heard from where they came."""
+    def _admitted(self, data: Bytes, rows: NDArray[np.void]) -> BoolArray:
+        """Which frames are genuine, and of senders that are heard from where they came."""
         signing, rows["heard"] = self._signing, REFUSED
         for k in range(len(rows) if signing else 0):
             # A stamp is kept only if its sender may come from there: who sends a genuine frame again from elsewhere
@@ -464,13 +464,12 @@ class Decoder:
                 self.heard.hear(data, rows[k : k + 1])
         if signing is None:
             self.heard.hear(data, rows)
-        heard = rows["heard"] == HEARD
-        rows = rows if heard.all() else _those(rows, heard)
+        heard: BoolArray = rows["heard"] == HEARD
         if self._passed is not None:
-            places = (rows[name].tolist() for name in ("begin", "after", "host_ns"))
+            places = (rows[name][heard].tolist() for name in ("begin", "after", "host_ns"))
             whole = data.tobytes()
             self._passed += [(whole[begin:after], host_ns) for begin, after, host_ns in zip(*places, strict=True)]
-        return rows
+        return heard
 
 
 def _those(rows: NDArray[np.void], chosen: BoolArray | IntArray | slice) -> NDArray[np.void]:
@@ -529,12 +528,12 @@ def _find(
     known: NDArray[np.int16],
     tables: NDArray[np.uint16],
     found: NDArray[Any],
-) -> tuple[int, int]:
-    """Write down the frames; returns how many, and how many bytes are done with.
+) -> tuple[int, int, int]:
+    """Write down the frames; returns how many, how many bytes are done with, and how many of them the frames are.
 
     chunks: (3, k) sizes, times of arrival [ns] and sources. whole: none goes on in the next one, else there is one.
     """
-    count = end = 0
+    count = end = sound = 0
     for k in range(chunks.shape[1]):
         first, end = end, end + chunks[0, k]
         at, left = first + gap, max(FALSE_MARKERS, (end - first) // FALSE_MARKERS)
@@ -550,13 +549,13 @@ def _find(
                     time_us = time_us << 8 | np.int64(data[j])
                 found[count].host_ns = time_us * NS_PER_US if gap else chunks[1, k]
                 found[count].source = chunks[2, k]
-                count, at = count + 1, after + gap
+                count, sound, at = count + 1, sound + after - at, after + gap
                 continue
             left -= int(gap == 0 and (marker in (_V1, _V2)))
             at = at + 1 if left else end
         if not whole:
-            return count, min(max(at - gap, 0), end)
-    return count, end
+            return count, min(max(at - gap, 0), end), sound
+    return count, end, sound
 
 
 @inline

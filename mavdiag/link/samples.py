@@ -183,7 +183,8 @@ class SampleDecoder:
         ends = np.cumsum([0, *(len(row.parts) for row in read)]).tolist()
         rows = np.array([(*_counted(row), *ends[k : k + 2]) for k, row in enumerate(read)], _SOURCE)
         parts = np.array([_laid(profile, row.message, part) for row in read for part in row.parts], _PART)
-        self._table = lookup, rows, parts, _WIDTHS
+        self._table, payload = (lookup, rows, parts, _WIDTHS), np.zeros(PAYLOAD_BYTES, np.uint8)
+        self._payload = payload, anywhere(payload, "<i8"), anywhere(payload, "<f4")  # room for the one that is read
 
     def step(self, state: SampleState, frames: Sequence[Frame] | Frames, given_ns: IntArray = _NO_TIMES) -> Telemetry:
         """Take the next frames of one vehicle, in order of arrival, and bring its state on, in place.
@@ -192,9 +193,7 @@ class SampleDecoder:
         """
         some, memory = frames_of(frames), (state.timeline.records, state.memory)
         columns = some.data, anywhere(some.data, "<i8"), some.rows
-        room = np.zeros(PAYLOAD_BYTES, np.uint8)
-        payload = room, anywhere(room, "<i8"), anywhere(room, "<f4")
-        t_ns, host_ns, values, filled = _convert(columns, given_ns, self._table, memory, payload)
+        t_ns, host_ns, values, filled = _convert(columns, given_ns, self._table, memory, self._payload)
         series = []
         for signal, width, (first, place, count) in zip(_SIGNALS, _COLUMNS, filled.tolist(), strict=True):
             if count:
@@ -245,8 +244,9 @@ def joined(pieces: Iterable[Telemetry]) -> Telemetry:
     for number, piece in enumerate(pieces):
         for series in (*alone.series, *piece.series) if number else ():
             arrays = (series.t_ns, series.host_ns, series.values)
-            held = columns.setdefault(series.signal, [Column(one) for one in arrays])
-            for column, more in zip(held, arrays, strict=True):
+            if series.signal not in columns:
+                columns[series.signal] = [Column(one) for one in arrays]
+            for column, more in zip(columns[series.signal], arrays, strict=True):
                 column.add(more)
         alone = Telemetry() if number else piece
     if not columns:

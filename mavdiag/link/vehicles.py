@@ -238,6 +238,12 @@ class VehicleStream:
         self._settled = counts[chosen.imu] >= USEFUL_FRAMES or (counts[chosen.imu] > 0 and told_s >= CHOICE_S)
 
 
+def _talk(frames: Frames) -> tuple[Frame, ...]:
+    """Those that are no measurements."""
+    talks = _TALKS[frames.rows["row"]]
+    return tuple(frames.where(talks)) if talks.any() else ()
+
+
 def _any_sensor(row: Measured) -> Measured:
     """A row of the table, of an IMU message that numbers its sensors whichever it is."""
     parts = tuple(replace(part, unless=None) for part in row.parts)
@@ -389,7 +395,7 @@ class LinkDecoder:
         for frames in taken:
             if len(frames):
                 self._file(frames, now_ns)
-                self._take_talk(frames.where(_TALKS[frames.rows["row"]]))
+                self._take_talk(_talk(frames))
 
     def _file(self, frames: Frames, now_ns: int) -> None:
         """Put frames where their vehicles' wait; see which others may enter."""
@@ -428,8 +434,7 @@ class LinkDecoder:
         """What waits of a vehicle that has entered."""
         unread, stream = self._unread.pop(sysid, _Unread()), self.vehicles[sysid]
         frames = frames_joined([*unread.pieces, self._backlog.take(sysid)])
-        talks = _TALKS[frames.rows["row"]]
-        talk = tuple(frames.where(talks)) if np.count_nonzero(talks) else ()
+        talk = _talk(frames)
         alive = bool(np.count_nonzero(frames.rows["sender"] & 0xFF == AUTOPILOT))
         telemetry = stream.step(frames, talk)
         told = (acks_in(talk), stream.parameters, stream.profile.imu, stream.sensor, mode_in(talk), sticks_in(talk))
