@@ -255,29 +255,40 @@ def _fit(blocks: Iterable[Block], columns: Sequence[int], drivers: Sequence[int]
             for first in range(0, changes.shape[1], TOGETHER):
                 part = changes[:, first : first + TOGETHER]
                 sums += part @ part.T
-    fits = [_solved(sums, overlap, DRIVERS[carried[0]]) for sums in products]
-    return max((fit for fit in fits if fit is not None), key=lambda fit: fit.explained, default=None)
+    return _solved(products, overlap, DRIVERS[carried[0]])
 
 
 def _solved(products: FloatArray, overlap: int, driver: str) -> _Fit | None:
-    """The least squares of these products; None if there is too little of them. overlap: rows of a change."""
-    ww, wx, xx, total = products[:-4, :-4], products[:-4, -4:-1], products[-4:-1, -4:-1], products[-4:-1, -1]
-    n = int(products[-1, -1])
-    moved = float(np.trace(ww))
-    if n < MIN_CHANGES * overlap or moved == 0:
+    """The least squares of the lag that explains most; None if there is too little. overlap: rows of a change.
+
+    products: (lags, .., ..) of the changes of outputs, driver and one.
+    """
+    moved = np.trace(products[:, :-4, :-4], axis1=1, axis2=2)
+    enough = (products[:, -1, -1] >= MIN_CHANGES * overlap) & (moved > 0)
+    if not enough.any():
         return None
-    scale = np.sqrt(np.maximum(np.diag(xx) / n - np.square(total / n), 0.0))
+    products, moved = products[enough], moved[enough]
+    ww, wx, xx = products[:, :-4, :-4], products[:, :-4, -4:-1], products[:, -4:-1, -4:-1]
+    total, n = products[:, -4:-1, -1], products[:, -1:, -1]
+    scale = np.sqrt(np.maximum(_diagonals(xx) / n - np.square(total / n), 0.0))
     scale = np.where(scale > 0, scale, 1.0)
-    wx, xx = wx / scale, xx / scale / scale[:, None]
+    wx, xx = wx / scale[:, None], xx / scale[:, None] / scale[:, :, None]
     # [ X'X ] effects = [ X'W ]; drivers that move together by nature leave the smallest effects
     inverse = np.linalg.pinv(xx, rcond=SINGULAR, hermitian=True)
-    effects = np.asarray(inverse @ wx.T)
-    explained = np.einsum("kr,kl,lr->r", effects, xx, effects)
-    left = np.maximum(np.diag(ww) - 2 * np.einsum("kr,rk->r", effects, wx) + explained, 0.0)
-    noise = overlap * left.sum() / (n * len(ww)) * np.diag(inverse)  # of an effect; spans overlap
+    effects = inverse @ wx.mT
+    explained = (effects * (xx @ effects)).sum(axis=1)
+    left = np.maximum(_diagonals(ww) - 2 * (effects * wx.mT).sum(axis=1) + explained, 0.0)
+    shares = 1 - left.sum(axis=1) / moved
+    best = int(shares.argmax())
+    effects, explained, left, rows = effects[best], explained[best], left[best], float(n[best, 0])
+    noise = overlap * left.sum() / (rows * len(left)) * np.diag(inverse[best])  # of an effect; spans overlap
     F = np.asarray(np.square(effects).mean(axis=1) / np.maximum(noise, TINY), dtype=np.float64)
-    followed = np.asarray(explained / 3 / np.maximum(overlap * left / n, TINY), dtype=np.float64)
-    return _Fit(driver, effects, F, followed, 1 - float(left.sum()) / moved, np.asarray(xx / n))
+    followed = np.asarray(explained / 3 / np.maximum(overlap * left / rows, TINY), dtype=np.float64)
+    return _Fit(driver, effects, F, followed, float(shares[best]), np.asarray(xx[best] / rows))
+
+
+def _diagonals(tables: FloatArray) -> FloatArray:
+    return np.diagonal(tables, axis1=1, axis2=2)
 
 
 def _found(fit: _Fit | None, columns: Sequence[int], known: Sequence[RotorLayout]) -> LayoutFinding:
