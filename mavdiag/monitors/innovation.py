@@ -27,6 +27,7 @@ SETTLED = 3.0  # so many times the memory after a command what it made has passe
 WINDOW_S = 1.0  # our choice; 0.7 to 1.3 s change no verdict
 MIN_ROWS = 500  # 60 a parameter (our choice)
 TRAIN_ROWS = 120_000  # more of it no longer changes the coefficients (our choice)
+STEADY_RAD_S = 0.2  # rms of a steady rate that is followed; from 0.03 on it makes no difference (our choice)
 SHIFTS = 0.06, 0.12  # of a rotor's frequency: its line moves so far with a load that counts as covered (our choice)
 CONSTANT = "the gyro is constant or noise-free; is it a real sensor?"
 RANK_TOLERANCE = 1e-10
@@ -154,11 +155,13 @@ class Innovation(Monitor[InnovationSpec]):
         speed = None if context.imu_corner_hz else context.airframe.hover_rad_s  # a filter leaves no line
         turns = [shift * speed * context.dt_s for shift in SHIFTS] if speed else []
         trained = [*pairs, *(_shifted(one, turn) for turn in turns for one in pairs)]
+        steady = STEADY_RAD_S * math.sqrt(rows) * np.append(-np.ones((LAG, 1)), np.ones((LAG + 1, 1)), axis=0)
         for axis in range(3):
             # [ -y(t-1) .. -y(t-4)   u(t-1) .. u(t-4)   y(t) ]'    (9, n), the valid rows of all flights
             regressions = [_regression(one, axis, float(mean[axis])) for one in trained]
             stacked = np.concatenate(regressions[: len(pairs)], axis=1)
-            theta = _least_squares(triangle(np.concatenate(regressions, axis=1).T))
+            followed = [steady] if axis < 2 else []  # a calm hover does not tell; yaw follows slowly
+            theta = _least_squares(triangle(np.concatenate([*regressions, *followed], axis=1).T))
             squares = np.square(stacked[-1] - theta @ stacked[:-1])
             steps = np.abs(np.diff(stacked[-1]))
             if squares.mean() == 0.0 or not steps.any():
