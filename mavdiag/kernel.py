@@ -231,7 +231,7 @@ def _let_count(
                 far = conditions[worst[0], COUNT + worst[1]]
                 room = 1.0 + limits[worst[1], 3] * min(far, 1.0) if plan[slot, GROWS] else 1.0
         out[col.VALUE, number] /= room
-        if far > 1.0:
+        if far > (1.0 if plan[slot, GROWS] else 0.0):
             out[col.SOUND, number] = 0.0
             outside[slot, worst[1], BEYOND] += 1.0
             if far > outside[slot, worst[1], EXCESS]:

@@ -125,6 +125,7 @@ def fit(
     settle_s: float = 0.0,
     figures: bool = True,
     near: ArxModel | None = None,
+    followed: FloatArray | None = None,
 ) -> ArxModel:
     """Identify A(z^-1) y = B(z^-1) u + e from one record or several (T 4.1.2, 5.4).
 
@@ -132,6 +133,7 @@ def fit(
     sample time [s]. method: "sriv" (unbiased with noise on the output) or "ls" (the thesis's least squares). settle_s:
     start of each record that the figures of fit leave out [s]. figures: False leaves standard errors and figures of
     fit unknown, in half the time. near: a model of the same order and nearly the same data, from which SRIV begins.
+    followed: an input that the output equals, (n,), which trains beside the records and is not in the figures of fit.
 
     >>> rng = np.random.default_rng(1)
     >>> u = rng.standard_normal(500)
@@ -150,7 +152,8 @@ def fit(
     segments = to_segments(u, y, order)
     check_excitation(segments, order)
     begin = near.theta if near is not None and near.order == order and near.stable else None
-    estimate = sriv(segments, order, figures, begin) if method == Method.SRIV else least_squares(segments, order)
+    trained = segments if followed is None else [*segments, Segment(followed, followed)]
+    estimate = sriv(trained, order, figures, begin) if method == Method.SRIV else least_squares(trained, order)
     bare = ArxModel(*polynomials(estimate.theta, order), dt, order, Method(method))
     if not bare.stable:
         raise IdentificationError(

@@ -13,7 +13,16 @@ from mavdiag.errors import IdentificationError
 from mavdiag.identify.arx import triangle
 from mavdiag.jit import allocating, cached
 from mavdiag.monitors.base import Begin, Flights, LearnContext, Monitor, segments
-from mavdiag.monitors.fitting import MEMORY_S, cut_to_share, need_commanded, of_each, smoothed, three, variance_law
+from mavdiag.monitors.fitting import (
+    MEMORY_S,
+    cut_to_share,
+    need_commanded,
+    of_each,
+    smoothed,
+    steady_turn,
+    three,
+    variance_law,
+)
 from mavdiag.monitors.spec import Delay, NotNegative, Positive, spec
 from mavdiag.rows.block import COMMANDED, GYRO, LEVEL, SOUND, VALUE, Floats, Ints, U
 from mavdiag.rows.conditions import Condition
@@ -27,7 +36,6 @@ SETTLED = 3.0  # so many times the memory after a command what it made has passe
 WINDOW_S = 1.0  # our choice; 0.7 to 1.3 s change no verdict
 MIN_ROWS = 500  # 60 a parameter (our choice)
 TRAIN_ROWS = 120_000  # more of it no longer changes the coefficients (our choice)
-STEADY_RAD_S = 0.2  # rms of a steady rate that is followed; from 0.03 on it makes no difference (our choice)
 SHIFTS = 0.06, 0.12  # of a rotor's frequency: its line moves so far with a load that counts as covered (our choice)
 CONSTANT = "the gyro is constant or noise-free; is it a real sensor?"
 RANK_TOLERANCE = 1e-10
@@ -124,7 +132,7 @@ class Innovation(Monitor[InnovationSpec]):
     observes = "motion that is predicted badly one step ahead"
     phrase = "attitude unlike the model"
     needs = frozenset({Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT})
-    depends = frozenset(Condition) - {Condition.TILT, Condition.COMMANDED_RATE}
+    depends = frozenset(Condition) - {Condition.TILT}
     least_hz = 20.0  # below it a step ahead is too far to predict a rate (our choice)
     why_hz = "a one-step prediction needs {:.0f} Hz"
     by_rates = True
@@ -155,12 +163,12 @@ class Innovation(Monitor[InnovationSpec]):
         speed = None if context.imu_corner_hz else context.airframe.hover_rad_s  # a filter leaves no line
         turns = [shift * speed * context.dt_s for shift in SHIFTS] if speed else []
         trained = [*pairs, *(_shifted(one, turn) for turn in turns for one in pairs)]
-        steady = STEADY_RAD_S * math.sqrt(rows) * np.append(-np.ones((LAG, 1)), np.ones((LAG + 1, 1)), axis=0)
+        steady = np.linalg.norm(steady_turn(context.dt_s)) * np.repeat([[-1.0], [1.0]], [LAG, LAG + 1], axis=0)
         for axis in range(3):
             # [ -y(t-1) .. -y(t-4)   u(t-1) .. u(t-4)   y(t) ]'    (9, n), the valid rows of all flights
             regressions = [_regression(one, axis, float(mean[axis])) for one in trained]
             stacked = np.concatenate(regressions[: len(pairs)], axis=1)
-            followed = [steady] if axis < 2 else []  # a calm hover does not tell; yaw follows slowly
+            followed = [steady] if axis < 2 else []  # yaw follows slowly
             theta = _least_squares(triangle(np.concatenate([*regressions, *followed], axis=1).T))
             squares = np.square(stacked[-1] - theta @ stacked[:-1])
             steps = np.abs(np.diff(stacked[-1]))

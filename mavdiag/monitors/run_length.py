@@ -19,7 +19,7 @@ from mavdiag.identify import ArxModel, fit
 from mavdiag.identify.arx import ModelRecord
 from mavdiag.jit import cached, jit
 from mavdiag.monitors.base import Begin, Flights, LearnContext, Monitor, parted, walk
-from mavdiag.monitors.fitting import cut_to_share, of_each
+from mavdiag.monitors.fitting import cut_to_share, of_each, steady_turn
 from mavdiag.monitors.spec import Delay, Positive, spec
 from mavdiag.rows.block import COMMANDED, LEVEL, RESIDUAL, SOUND, VALUE, Floats, Ints, U, Y
 from mavdiag.rows.conditions import Condition
@@ -240,9 +240,19 @@ def _train(flights: Flights, axis: Axis, context: LearnContext) -> ArxModel:
     each = [(flight, stretch) for flight, stretches in zip(flights, places, strict=True) for stretch in stretches]
     pairs = [_rates_in(flight, stretch, axis, next(taken)) for flight, stretch in each]
     u, y = [one for one, _ in pairs], [one for _, one in pairs]
-    figures, method = context.figures, context.method
+    figures, method, followed = context.figures, context.method, steady_turn(dt_s)
     try:
-        model = fit(u, y, context.order, dt=dt_s, method=method, settle_s=SETTLE_S, figures=figures, near=near)
+        model = fit(
+            u,
+            y,
+            context.order,
+            dt=dt_s,
+            method=method,
+            settle_s=SETTLE_S,
+            figures=figures,
+            near=near,
+            followed=followed,
+        )
     except IdentificationError as error:
         raise IdentificationError(f"{axis}: {error}") from error
     # The gain of a model with a pole at 1 that a zero cancels says nothing of the sign; the slope of y on u does.

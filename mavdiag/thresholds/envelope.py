@@ -6,8 +6,8 @@ For a condition c with the largest healthy value C (or what counts as nothing, i
     0 < e <= 1     near: the threshold times 1 + R e = c/C; what a linear model leaves grows no faster than its input
     e > 1          outside, from (1 + R) C on: not judged
 
-R is the room of the condition. A statistic that is a time (FSD) does not grow so. A condition that no healthy flight
-told of, or that the link does not carry now, restricts nothing.
+R is the room of the condition. A statistic that is a time (FSD) does not grow so: it is judged inside alone. A
+condition that no healthy flight told of, or that the link does not carry now, restricts nothing.
 """
 
 from collections.abc import Sequence
@@ -45,7 +45,7 @@ class _Rule:
 RULES: dict[Condition, _Rule] = {
     Condition.TILT: _Rule("upper", 0.2, "rad", "fly in steady wind"),
     Condition.THROTTLE: _Rule("both", 0.25, "", "fly with payload, and with a battery that empties"),
-    Condition.COMMANDED_RATE: _Rule("upper", 0.3, "rad/s", "fly sharper turns and stops", 1.0),
+    Condition.COMMANDED_RATE: _Rule("upper", 0.1, "rad/s", "fly sharper turns and stops", 1.0),
     Condition.COMMANDED_ACCELERATION: _Rule("upper", 5.0, "rad/s^2", "fly sharper turns and stops", 1.0),
     Condition.YAW_ACCELERATION: _Rule("upper", 0.1, "rad/s^2", "turn the nose, steadily and along the path", 1.0),
     Condition.YAW_RATE: _Rule("upper", 0.15, "rad/s", "turn the nose, steadily and along the path"),

@@ -433,11 +433,11 @@ def test_21_one_wrong_sample_does_not_widen_what_is_covered() -> None:
 
 
 def test_21_a_time_is_not_scaled_like_an_amplitude() -> None:
-    """Near what was learnt an amplitude counts less by as much; a time counts as it is."""
-    for unit, value in (("rad/s", 0.8), ("s", 1.0)):
-        found, _ = ones_judged([YAW], turned(np.full(600, 0.5)), Ones({Condition.YAW_RATE}, 1.0, unit=unit))
-        assert found.valid[-1]
-        assert found.value[-1] == pytest.approx(value)
+    """Near what was learnt an amplitude counts less by as much; a time is judged inside alone."""
+    for unit, value, turn in (("rad/s", 0.8, 0.5), ("s", 1.0, 0.39), ("s", None, 0.5)):
+        found, _ = ones_judged([YAW], turned(np.full(600, turn)), Ones({Condition.YAW_RATE}, 1.0, unit=unit))
+        assert found.valid[-1] == (value is not None)
+        assert value is None or found.value[-1] == pytest.approx(value)
 
 
 def test_a_new_segment_does_not_go_on_from_the_old_one() -> None:
@@ -503,7 +503,7 @@ def test_a_turn_that_was_not_learnt_is_not_judged_and_never_an_alarm(seed: int) 
     for name, told in verdict_json(found)["monitors"].items():
         assert told["not_judged"].startswith("yaw rate "), name
         assert told["not_judged"].endswith(" rad/s, learnt up to 0.41"), name
-        assert 26 < told["outside_s"] < 31, name
+        assert 26 < told["outside_s"] < (35 if name == "fsd" else 31), name  # near it is not judged, either
         assert told["outside_s"] + told["judged_s"] < 50, name
 
 
@@ -512,4 +512,4 @@ def test_a_link_that_carries_no_heading_and_no_height_is_judged_all_the_same() -
     high = (*straight().envelope, Covered(Condition.HEIGHT, 0.4, 3.0))
     found = judge(logged(flying(3000, 80)), straight().model_copy(update={"envelope": high}))
     assert found.verdict is Verdict.HEALTHY
-    assert {one.outside_s for one in found.monitors} == {0.0}
+    assert {one.outside_s for one in found.monitors if one.decides} == {0.0}
