@@ -1,10 +1,12 @@
 """`mavdiag history` as a user meets it: on recordings of the emulator, and on a history of many flights."""
 
+import errno
 import json
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from datetime import timedelta
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -14,7 +16,7 @@ import numpy as np
 import pytest
 from made_history import DAY_NS, START_NS, records
 from made_session import baseline_for
-from made_vehicle import EPOCH_NS, Bench, MadeVehicle, received
+from made_vehicle import Bench, MadeVehicle, received
 from processes import record
 from typer.testing import CliRunner
 from web_page import wait_for
@@ -172,7 +174,7 @@ def test_every_flight_is_in_the_history_as_its_log_would_be(tmp_path: Path) -> N
     baseline = baseline_for()
     baseline = baseline.model_copy(update={"airframe": baseline.airframe.__class__(name="racer", scope="type")})
     database, folder, said = str(tmp_path / "history.sqlite"), tmp_path / "flights", list[str]()
-    flights = Flights(database, folder, EPOCH_NS, said.append)
+    flights = Flights(database, folder, said.append)
     bench = watching(baseline, flights, MadeVehicle(3), MadeVehicle(4))
     kept: dict[str, bytes] = {}
 
@@ -206,7 +208,7 @@ def test_every_flight_is_in_the_history_as_its_log_would_be(tmp_path: Path) -> N
 
 def test_a_flight_with_a_reboot_is_kept_and_a_vehicle_lost_in_flight_begins_no_other(tmp_path: Path) -> None:
     (tmp_path / "20240501T1200-mine.tlog").touch()
-    flights = Flights(str(tmp_path / "history.sqlite"), tmp_path, EPOCH_NS, print)
+    flights = Flights(str(tmp_path / "history.sqlite"), tmp_path, print)
     bench = watching(baseline_for(), flights, MadeVehicle(3))
     with patch.object(flights, "put") as put:
         flown(bench, 12.0)
@@ -225,25 +227,33 @@ def test_a_flight_with_a_reboot_is_kept_and_a_vehicle_lost_in_flight_begins_no_o
 def test_a_flight_that_cannot_be_added_is_told_and_added_by_the_next_start(tmp_path: Path) -> None:
     missing, folder, said = tmp_path / "missing" / "history.sqlite", tmp_path / "flights", list[str]()
     with patch("detector.hooks.PAUSE_S", 0.0):
-        flights = Flights(str(missing), folder, EPOCH_NS, said.append)
+        flights = Flights(str(missing), folder, said.append)
     flights._pause_s = 0.0
     bench = watching(baseline_for(), flights, MadeVehicle(3))
     with patch("detector.flights.subprocess.run", in_this_process):
         flown(bench, 12.0)
         flown(bench, 2.0, armed=False)
         wait_for(lambda: flights.lost, "it gives up")
+        bench.host.ahead = timedelta(seconds=-13)  # the wall clock is set back, to when this flight began
+        flown(bench, 12.0)
+        with (
+            patch("detector.flights.MIN_JUDGED_S", 60.0),
+            patch.object(Path, "unlink", side_effect=OSError(errno.EROFS, "read-only")),
+        ):
+            flown(bench, 2.0, armed=False)
+        flown(bench, 12.0)
     bench.close()
     flights.close()
-    assert len(list(folder.glob("3-*.tlog"))) == 1
+    assert (len(list(folder.glob("3-*.tlog"))), flights.lost) == (3, 3)
     assert "there is no folder" in said[0]
     missing.parent.mkdir()
-    flights = Flights(str(missing), folder, EPOCH_NS, said.append)
+    flights = Flights(str(missing), folder, said.append)
     bench = watching(baseline_for(), flights)
     wait_for(lambda: not list(folder.glob("3-*.tlog")), "the flight is added")
     bench.close()
     flights.close()
     with open_history(str(missing)) as opened:
-        assert len(opened.flights(*opened.names())) == 1
+        assert len(opened.flights(*opened.names())) == 3
 
 
 def test_a_vehicle_gets_the_baseline_that_is_named_by_its_uid(tmp_path: Path) -> None:
