@@ -208,9 +208,10 @@ class Session:
         gyro = message_name(profile.imu) + f" of sensor {received.sensor}" * bool(received.sensor)
         if streams.gyro.latest is not None and gyro != self._gyro:
             missing = self._gyro + " of sensor 0" * bool(received.sensor)
-            text = f"the gyro is read from {gyro}, for {missing} does not come"
+            back = gyro == message_name(own.imu)
+            text = f"the gyro is read from {gyro}" + (" again" if back else f", for {missing} does not come")
             poor = ": the estimator's rates, filtered, at a low rate and without accelerometer"
-            self._gyro, other = gyro, "; what was learnt may not suit another sensor" * had_gyro
+            self._gyro, other = gyro, "; what was learnt may not suit another sensor" * (had_gyro and not back)
             self._effects.append(Note(text + poor * (profile.imu == LAST_RESORT) + other))
             self._notices += [Notice(Kind.OTHER_GYRO, (gyro,))] * had_gyro
         if streams.scale_doubt and not had_doubt:

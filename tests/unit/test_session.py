@@ -181,6 +181,7 @@ def test_l2_what_the_optional_streams_lack_is_told_and_hinders_nothing() -> None
     assert story.state.reason == "monitoring"
     story.give(Received(alive=True, imu=MessageId.SCALED_IMU2))
     assert story.texts[-1] == "PROP another gyro: SCALED_IMU2"
+    assert Note("the gyro is read from RAW_IMU again") in story.give(Received(alive=True))
 
 
 def test_l9_learning_that_fails_keeps_its_data_and_goes_on_with_more() -> None:

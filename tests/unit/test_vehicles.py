@@ -175,7 +175,7 @@ def test_the_rates_of_attitude_are_read_only_where_no_imu_message_comes_for_long
 
 
 @pytest.mark.parametrize(("imu", "more"), [(MessageId.SCALED_IMU2, ()), (MessageId.RAW_IMU, (0, 0, 0, 1))])
-def test_another_gyro_is_read_once_the_first_has_stopped(imu: MessageId, more: tuple[int, ...]) -> None:
+def test_another_gyro_is_read_while_the_first_has_stopped(imu: MessageId, more: tuple[int, ...]) -> None:
     decoder, sender = LinkDecoder(), Sender()
     assert run(decoder, sender.chunks(300)) == 300
     run(decoder, sender.chunks(1, imu, *more))
@@ -185,6 +185,8 @@ def test_another_gyro_is_read_once_the_first_has_stopped(imu: MessageId, more: t
     assert run(decoder, sender.chunks(200, imu, *more)) > 190
     assert (decoder.vehicles[1].profile.imu, decoder.vehicles[1].sensor) == (imu, sum(more))
     assert run(decoder, sender.chunks(200)) == 0  # the two are never mixed
+    assert run(decoder, sender.chunks(200)) == pytest.approx(100, abs=12)
+    assert (decoder.vehicles[1].profile.imu, decoder.vehicles[1].sensor) == (MessageId.RAW_IMU, 0)
 
 
 def told(encoder: Encoder, name: str, number: float, kind: int = REAL32) -> bytes:
