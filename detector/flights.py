@@ -86,7 +86,7 @@ class Flights(Courier):
     def end(self, vehicles: Mapping[int, Vehicle]) -> None:
         """The daemon stops: what flies has landed as far as it can know."""
         for sysid in tuple(self._open):
-            self._landed(sysid, vehicles[sysid])
+            self._landed(sysid, vehicles.get(sysid))
 
     def add_left(self, baseline_of: Callable[[int], Baseline | None]) -> None:
         """Try again what an earlier start left, of vehicles whose baseline is known. baseline_of: by system id."""
@@ -108,12 +108,12 @@ class Flights(Courier):
                 with self._telling(flight.path):
                     flight.file.write(b"".join(own))
 
-    def _landed(self, sysid: int, vehicle: Vehicle) -> None:
+    def _landed(self, sysid: int, vehicle: Vehicle | None) -> None:
         flight = self._open.pop(sysid)
         if flight.file is None:
             return
         flown_s = sum(judge.flight_s for judge in flight.judges) - flight.before_s
-        flew = vehicle.session.judge is None or flown_s >= MIN_JUDGED_S
+        flew = vehicle is None or vehicle.session.judge is None or flown_s >= MIN_JUDGED_S
         with self._telling(flight.path):
             flight.file.close()
             if not flew:

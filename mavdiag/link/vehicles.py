@@ -168,7 +168,7 @@ class VehicleStream:
 
     profile: how it sends; another IMU message is read while no gyro sample comes of its own.
     sensor: number of the one whose rows of that message are read; 0 but where only another one's come.
-    mav_type: MAV_TYPE, if known. uid: as in `uid_in`. parameters: of its autopilot that passed by so far, by name.
+    mav_type: MAV_TYPE, if known. uid: the latest, as in `uid_in`. parameters: of its autopilot that passed by, by name.
     """
 
     def __init__(self, profile: Profile, mav_type: int | None = None) -> None:
@@ -189,7 +189,7 @@ class VehicleStream:
         """Take the vehicle's next frames, in order of arrival. talk: those of them that are no measurements."""
         if not self._settled and len(frames):
             self._choose_imu(frames)
-        self.uid = self.uid or uid_in(talk)
+        self.uid = uid_in(talk) or self.uid
         if talk and (told := parameters_in(talk, self.profile.autopilot)):
             merged = {**self.parameters, **told}
             self.parameters = merged if len(merged) <= MOST_PARAMETERS else self.parameters
@@ -373,9 +373,9 @@ class LinkDecoder:
         heard, ours = self.decoder.heard, sysid << 8 | Component.ONBOARD_COMPUTER
         return heard.intruder(sysid << 8 | AUTOPILOT), heard.impostors.get(ours)
 
-    def give_up(self, sysid: int) -> None:
-        """Let others be a vehicle's on-board computer."""
-        self.decoder.heard.give_up(sysid << 8 | Component.ONBOARD_COMPUTER)
+    def claim(self, sysid: int, *, ours: bool) -> None:
+        """Hear nobody else as a vehicle's on-board computer, or let others be it."""
+        self.decoder.heard.claim((sysid << 8 | Component.ONBOARD_COMPUTER,), ours=ours)
 
     def feed(self, some: Datagrams, now_ns: int) -> dict[int, Received]:
         """Take what the link brought; return what is new, by vehicle that has entered."""

@@ -31,12 +31,11 @@ from mavdiag.cli import app
 from mavdiag.history.store import open_history
 from mavdiag.history.warn import Mark, MarkKind
 from mavdiag.judging import LogVerdict, Verdict
-from mavdiag.link.codec import field_index
 from mavdiag.link.messages import Autopilot, MavCmd, MessageId
 from mavdiag.printable import printable
 
 UDP_IN = "udpin:127.0.0.1:0"
-UID = "0011223344556677"
+UID, OTHER = "0011223344556677", "0011223344556688"
 
 
 @pytest.fixture
@@ -256,28 +255,37 @@ def test_a_flight_that_cannot_be_added_is_told_and_added_by_the_next_start(tmp_p
         assert len(opened.flights(*opened.names())) == 3
 
 
-def test_a_vehicle_gets_the_baseline_that_is_named_by_its_uid(tmp_path: Path) -> None:
-    plain, own = baseline_for(), baseline_for(names=("rotor_trim",))
-    plain.save(tmp_path / "1.json")
-    own.save(tmp_path / f"{UID}.json")
+def test_a_vehicle_gets_the_baseline_that_is_named_by_its_uid_also_where_it_is_swapped(tmp_path: Path) -> None:
+    plain, own, other = (baseline_for(names=(name,)) for name in ("fsd", "rotor_trim", "vibration_level"))
+    for name, baseline in (("1", plain), (UID, own), (OTHER, other)):
+        baseline.save(tmp_path / f"{name}.json")
     found = baselines_in(tmp_path)
-    assert set(found) == {1, UID}
-    vehicles = [MadeVehicle(k, Autopilot.GENERIC) for k in (1, 2, 3)]
+    assert set(found) == {1, UID, OTHER}
+    vehicles, uids = [MadeVehicle(k, Autopilot.GENERIC) for k in (1, 2, 3)], {2: UID}
     bench = Bench(Settings(connect=UDP_IN, baselines=tmp_path), baselines=found, vehicles=vehicles)
-    asked = dict.fromkeys((1, 2, 3), 0)
-    for _ in range(12):
-        bench.run(0.5)
-        for frame in received(bench.far):
-            if frame.msgid == MessageId.COMMAND_LONG:
-                system, command, msgid = (
-                    frame.fields[field_index(frame.msgid, name)] for name in ("target_system", "command", "param1")
-                )
-                if command == MavCmd.REQUEST_MESSAGE and msgid == MessageId.AUTOPILOT_VERSION:
-                    asked[int(system)] += 1
-                    if system == 2:
-                        told = (0, 0, 0, 0, 0, (0,) * 8, (0,) * 8, (0,) * 8, 0, 0, int(UID, 16))
-                        bench.far.send(vehicles[1].encoder.encode(MessageId.AUTOPILOT_VERSION, *told))
-    judged = {sysid: vehicle.session.baseline for sysid, vehicle in bench.daemon.fleet.vehicles.items()}
-    assert (judged, asked) == ({1: found[1], 2: found[UID]}, {1: 0, 2: 1, 3: 3})
+
+    def asked() -> dict[int, int]:
+        counts = dict.fromkeys((1, 2, 3), 0)
+        for _ in range(12):
+            bench.run(0.5)
+            for frame in received(bench.far):
+                if frame.msgid == MessageId.COMMAND_LONG and frame.value("command") == MavCmd.REQUEST_MESSAGE:
+                    system = frame.value("target_system")
+                    counts[system] += frame.value("param1") == MessageId.AUTOPILOT_VERSION
+                    if system in uids:
+                        told = (0, 0, 0, 0, 0, (0,) * 8, (0,) * 8, (0,) * 8, 0, 0, int(uids[system], 16))
+                        bench.far.send(vehicles[system - 1].encoder.encode(MessageId.AUTOPILOT_VERSION, *told))
+        return counts
+
+    def judged() -> dict[int, Baseline | None]:
+        return {sysid: vehicle.session.baseline for sysid, vehicle in bench.daemon.fleet.vehicles.items()}
+
+    assert (asked(), judged()) == ({1: 0, 2: 1, 3: 3}, {1: found[1], 2: found[UID]})
     assert any("vehicle 3: not watched" in line for line in bench.host.lines)
+    uids |= {2: OTHER, 3: UID}
+    vehicles[1:] = [MadeVehicle(k, Autopilot.GENERIC) for k in (2, 3)]
+    assert (asked(), judged()) == ({1: 0, 2: 3, 3: 3}, {1: found[1], 2: found[OTHER], 3: found[UID]})
+    uids[2] = f"{0x77:016x}"
+    vehicles[1] = MadeVehicle(2, Autopilot.GENERIC)
+    assert (asked(), judged()) == ({1: 0, 2: 3, 3: 0}, {1: found[1], 3: found[UID]})
     bench.close()
