@@ -1,5 +1,5 @@
 """What somebody tries on a link is told, once each: a second sender in a vehicle's name or in ours, stamps that leap,
-refused signatures, strangers that take up the connections of a server. No clock, no socket."""
+refused signatures, strangers that take up a server's connections; and a clock that is set back. No clock, no socket."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -84,7 +84,8 @@ class Guard:
 
     def _second(self, sysid: int, known: _Known) -> Iterable[Effect]:
         (intruder, impostor), count = self._link.strangers(sysid), self._link.count(sysid)
-        source, leaps = self._link.source(sysid), self._link.vehicles[sysid].state.timeline.leaps
+        source, timeline = self._link.source(sysid), self._link.vehicles[sysid].state.timeline
+        leaps = timeline.leaps
         if known.source not in (None, source):
             moved = f"{_address(source)} instead of {_address(known.source)}, which was silent for {PINNED_S:g} s"
             yield Note(f"vehicle {sysid} is heard from {moved}")
@@ -98,6 +99,9 @@ class Guard:
             yield SendText(Severity.WARNING, f"PROP another sender as {sysid}/{OURS}, not heard")
         if count is not None:
             yield from self._numbers(sysid, known, count)
+        if timeline.backs and known.news("clock"):
+            yield Note(f"the clock of vehicle {sysid} was set back: its monitors begin anew there")
+            yield SendText(Severity.WARNING, "PROP clock of the vehicle was set back")
         if leaps >= LEAPS and leaps >= 10 * known.leaps:
             known.leaps = leaps
             yield Note(f"vehicle {sysid}: stamps that leap: {leaps} dropped; another sender?")

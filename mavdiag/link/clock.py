@@ -97,10 +97,11 @@ _LEAD = _integers("seen first_s first_ns last_s", ("seconds", "i8", SECONDS), ("
 # messages; seconds in a row in which a shared clock was apart; and when it began, or was set last, and what it was.
 _OFFSET = _integers("known second begin_ns end_ns shared zeroed zero_ns odd since_s since_ns")
 # The vehicle: the clock that the others are laid over, -1 before the first stamp; what to add to it; latest time known;
-# when the last stamp was received; another clock that may take over; how often it started anew, and samples left out
-# because they leap; when the last stamp in line was, and the highest stamp, of the clock since boot and of unix time.
+# when the last stamp was received; another clock that may take over; how often it started anew, how often its clock was
+# set back, and samples left out because they leap; when the last stamp in line was, and the highest stamp, of the clock
+# since boot and of unix time.
 _MEM = _integers(
-    "reference base_ns t_ns host_ns rival_ns rival_host_ns rivals reboots leaps",
+    "reference base_ns t_ns host_ns rival_ns rival_host_ns rivals reboots backs leaps",
     ("seen_ns", "i8", 2),
     ("high_ns", "i8", 2),
 )
@@ -133,6 +134,11 @@ class VehicleTime:
     def reboots(self) -> int:
         """How often the vehicle started anew."""
         return self._told("reboots")
+
+    @property
+    def backs(self) -> int:
+        """How often its clock was set back."""
+        return self._told("backs")
 
     @property
     def leaps(self) -> int:
@@ -189,6 +195,7 @@ def stamp(
     reboots = sort == _BROKEN_OFF and _rebooted(mem, reading, raw * tick, now_ns)
     if reboots or sort == _SET_BACK:
         mem.reboots += int(reboots)
+        mem.backs += int(not reboots)
         _start_anew(mem, readings, leads, offsets)
         return REBOOT
     return NEVER

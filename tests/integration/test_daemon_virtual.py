@@ -347,7 +347,7 @@ def test_an_error_of_the_program_takes_off_one_vehicle_alone(tmp_path: Path, mon
 
 
 @pytest.mark.parametrize("days", [-400, 400])
-def test_a_step_of_the_wall_clock_changes_nothing(watching: Benches, days: int) -> None:
+def test_a_step_of_the_wall_clock_changes_nothing_and_one_of_the_vehicles_is_told(watching: Benches, days: int) -> None:
     host = VirtualHost()
     bench = watching(host=host)
     (before,) = bench.daemon.fleet.figures()
@@ -357,6 +357,9 @@ def test_a_step_of_the_wall_clock_changes_nothing(watching: Benches, days: int) 
     assert after.judged_s == pytest.approx(before.judged_s + 5.0, abs=0.1)
     session = bench.daemon.fleet.vehicles[1].session
     assert session.unix_offset_ns - session.spec.unix_offset_ns == pytest.approx(days * 86400e9, abs=1e9)
+    bench.vehicles[0].sent -= 40
+    bench.run(5.0)
+    assert texts(received(bench.far))[-1] == "PROP clock of the vehicle was set back"
     assert bench.daemon.fleet.link.vehicles[1].state.timeline.reboots == 0
     assert finds_a_fault(bench)
 
