@@ -31,7 +31,7 @@ from mavdiag.baseline import Baseline
 from mavdiag.decision.alarm import Change, Event, Stage
 from mavdiag.errors import UsageError
 from mavdiag.link.messages import Severity
-from mavdiag.storage import begins, check_apart
+from mavdiag.storage import begins, check_apart, check_writable
 from mavdiag.units import NS_PER_S, NS_PER_US
 
 MB = 1_000_000
@@ -256,13 +256,16 @@ class Recorder(Appender):
 
 
 def check_files(settings: Settings) -> None:
-    """Raise UsageError if two settings name one file, or a journal or recording would be appended to another kind."""
+    """Raise UsageError if two settings name one file, a journal or recording would be appended to another kind, or what
+    is learned could not be kept."""
     own = settings.journal, settings.record, settings.save
     named = (settings.baseline, settings.signing_key, settings.web_token_file, settings.history, settings.airframe)
     known = [Path(name) for name in (*named, *(one.baseline for one in settings.vehicles.values())) if name is not None]
     for number, path in enumerate(own):
         if path is not None:
             check_apart(path, *own[number + 1 :], *known)
+    if settings.save is not None:
+        check_writable(settings.save)
     for option, path, kind in (("journal", own[0], rb'\s*\{"kind"'), ("record", own[1], rb".{8}[\xfd\xfe]")):
         if path is not None and not begins(path, kind):
             raise UsageError(f"{path}: is no {option} so far, and would be spoilt; choose another --{option} file")
