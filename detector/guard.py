@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from detector.fleet import Turn
 from detector.values import Effect, Note, SendText
+from mavdiag.link.codec import AUTOPILOT
 from mavdiag.link.messages import Component, Severity
 from mavdiag.link.sequence import PINNED_S, LinkCount, Source
 from mavdiag.link.signing import Refusal, Signing
@@ -23,6 +24,9 @@ LEAPS = 3  # stamps that leap before they are told: one is a damaged frame (our 
 @dataclass(slots=True)
 class _Known:
     source: Source = None
+    heard_ns: int = 0  # when it was heard there last
+    refused: int = 0  # frames of other sources, by the last look
+    moved: int = 0  # those by when it came from elsewhere: its own
     restarts: int = 0  # of its running numbers
     clashes: int = 0  # ... two frames of one number
     contrary: int = 0  # disarmed heartbeats amid armed ones
@@ -86,14 +90,17 @@ class Guard:
         (intruder, impostor), count = self._link.strangers(sysid), self._link.count(sysid)
         source, timeline = self._link.source(sysid), self._link.vehicles[sysid].state.timeline
         leaps = timeline.leaps
+        heard_ns = self._link.decoder.heard.heard_ns(sysid << 8 | AUTOPILOT)
+        refused = intruder.frames if intruder else 0
         if known.source not in (None, source):
             moved = f"{_address(source)} instead of {_address(known.source)}, which was silent for {PINNED_S:g} s"
             yield Note(f"vehicle {sysid} is heard from {moved}")
-        known.source = source
-        if intruder is not None and known.news("source"):
+            known.moved = refused
+        elif intruder and known.refused > known.moved and heard_ns > known.heard_ns and known.news("source"):
             where = _address(intruder.source)
             yield Note(f"{where} sends in the name of vehicle {sysid}, which is heard elsewhere; it is not heard")
             yield SendText(Severity.WARNING, f"PROP second source sends as vehicle {sysid}")
+        known.source, known.heard_ns, known.refused = source, heard_ns, refused
         if impostor is not None and known.news("ours"):
             yield Note(f"{_address(impostor.source)} sends as {sysid}/{OURS}, which is this detector; it is not heard")
             yield SendText(Severity.WARNING, f"PROP another sender as {sysid}/{OURS}, not heard")

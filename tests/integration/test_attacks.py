@@ -179,6 +179,19 @@ def test_the_genuine_stream_is_judged_all_along(name: str, calm_s: float, tmp_pa
     assert len([text for text in notes if "sends in the name of vehicle 1" in text]) == (name in IN_ITS_NAME)
 
 
+def test_a_vehicle_that_comes_from_another_address_is_no_second_sender_but_who_uses_its_old_one_is() -> None:
+    vehicle, old = MadeVehicle(1), MadeVehicle(1)
+    bench = attacked(vehicle)
+    bench.fly(5.0)
+    bench.vehicles = []
+    bench.fly(8.0, (vehicle.samples(4) for _ in itertools.count()))
+    assert "PROP second source" not in "\n".join(bench.host.lines)
+    bench.vehicles = [old]
+    bench.fly(3.0, (vehicle.samples(4) for _ in itertools.count()))
+    assert "PROP second source" in "\n".join(bench.host.lines)
+    bench.close()
+
+
 class Beset(MadeVehicle):
     """A vehicle beside which somebody sends in its name and from its address.
 

@@ -27,7 +27,7 @@ from detector.fleet import Turn
 from detector.notify import Notifier
 from detector.states import State
 from mavdiag.baseline import Baseline
-from mavdiag.link.codec import Decoder, Encoder, Frame, field_index
+from mavdiag.link.codec import Decoder, Encoder, Frame
 from mavdiag.link.datagrams import Datagrams
 from mavdiag.link.messages import Autopilot, Component, MavCmd, MavResult, MavType, MessageId, Severity
 from mavdiag.logs.tlog import read_tlog
@@ -86,7 +86,7 @@ def test_two_vehicles_on_one_link_have_a_session_each(benches: Benches, tmp_path
     frames = received(bench.far)
     beats = of(frames, MessageId.HEARTBEAT)
     assert {beat.sysid for beat in beats} == {1, 2}
-    assert {(field(beat, "type"), field(beat, "autopilot")) for beat in beats} == {
+    assert {(beat.value("type"), beat.value("autopilot")) for beat in beats} == {
         (MavType.ONBOARD_CONTROLLER, Autopilot.INVALID)
     }
     assert {frame.compid for frame in frames} == {Component.ONBOARD_COMPUTER}
@@ -105,7 +105,7 @@ def test_commands_for_others_are_ignored_and_ours_are_declined(benches: Benches)
         bench.far.send(station.encode(MessageId.COMMAND_LONG, *target, MavCmd.REQUEST_MESSAGE, 0, 244))
     bench.run(0.2)
     [ack] = of(received(bench.far), MessageId.COMMAND_ACK)
-    assert (field(ack, "command"), field(ack, "result")) == (MavCmd.REQUEST_MESSAGE, MavResult.UNSUPPORTED)
+    assert (ack.value("command"), ack.value("result")) == (MavCmd.REQUEST_MESSAGE, MavResult.UNSUPPORTED)
     assert (ack.sysid, ack.compid) == (1, Component.ONBOARD_COMPUTER)
 
 
@@ -137,7 +137,7 @@ def test_a_fault_is_on_the_wire_as_text_and_as_figures(benches: Benches) -> None
     # This baseline has no monitor of sensors, so nothing is waited for.
     assert [one.numbers("severity", "id") for one in said] == [(Severity.CRITICAL, 0)]
     assert said[0].text("text") == "PROP FAULT roll attitude unlike the model"
-    figures = {field(one, "name"): field(one, "value") for one in of(frames, MessageId.NAMED_VALUE_FLOAT)}
+    figures = {one.text("name"): one.value("value") for one in of(frames, MessageId.NAMED_VALUE_FLOAT)}
     assert set(figures) == {"PF_RES", "PF_MARG", "PF_FSD", "PF_FML"}
     assert (figures["PF_RES"], figures["PF_FML"]) == (pytest.approx(0.5, abs=0.05), pytest.approx(0.3))
 
@@ -206,11 +206,6 @@ def test_all_is_read_and_none_starves_when_there_is_too_much_to_judge(
     assert min(one.judged_s for one in figures) > 3.0
 
 
-def field(frame: Frame, name: str) -> object:
-    value = frame.fields[field_index(frame.msgid, name)]
-    return value.partition(b"\0")[0].decode() if isinstance(value, bytes) else value
-
-
 def judging(**more: object) -> Settings:
     return Settings.model_validate({"connect": UDP_IN, "baseline": Path("b.json"), **more})
 
@@ -256,13 +251,13 @@ def test_rates_that_are_needed_are_kept_and_everything_else_passes(benches: Benc
     ours = STATION.encode(MessageId.COMMAND_LONG, 1, 1, MavCmd.SET_MESSAGE_INTERVAL, 0, MessageId.RAW_IMU, 1_000_000)
     more = STATION.encode(MessageId.COMMAND_LONG, 1, 1, MavCmd.SET_MESSAGE_INTERVAL, 0, MessageId.SYS_STATUS, 1_000_000)
     [ack] = of(asked(bench, bench.behind[0], ours), MessageId.COMMAND_ACK)
-    assert (field(ack, "result"), field(ack, "target_system")) == (MavResult.DENIED, 255)
+    assert (ack.value("result"), ack.value("target_system")) == (MavResult.DENIED, 255)
     asked(bench, bench.behind[0], more)
     asked(bench, bench.behind[0], STATION.encode(MessageId.REQUEST_DATA_STREAM, 1, 1, 0, 4, 1))
     frames = received(bench.far)
-    assert [field(one, "param1") for one in of(frames, MessageId.COMMAND_LONG)] == [MessageId.SYS_STATUS]
+    assert [one.value("param1") for one in of(frames, MessageId.COMMAND_LONG)] == [MessageId.SYS_STATUS]
     groups = of(frames, MessageId.REQUEST_DATA_STREAM)
-    assert {field(one, "req_stream_id") for one in groups} == {2, 6, 11}
+    assert {one.value("req_stream_id") for one in groups} == {2, 6, 11}
     assert {one.compid for one in groups} == {Component.ONBOARD_COMPUTER}
 
 
@@ -419,9 +414,9 @@ def test_what_tells_rotors_and_filter_is_read_while_it_learns_and_nothing_is_eve
         parameters = bench.daemon.fleet.link.vehicles[1].parameters
     assert (parameters["FRAME_CLASS"], parameters["INS_GYRO_FILTER"]) == (1.0, 20.0)
     assert {frame.msgid for frame in heard} <= SENT
-    names = Counter(field(frame, "param_id") for frame in of(heard, MessageId.PARAM_REQUEST_READ))
+    names = Counter(frame.text("param_id") for frame in of(heard, MessageId.PARAM_REQUEST_READ))
     assert max(names.values()) <= 3  # an output that this vehicle does not have
-    assert {field(frame, "command") for frame in of(heard, MessageId.COMMAND_LONG)} <= COMMANDS
+    assert {frame.value("command") for frame in of(heard, MessageId.COMMAND_LONG)} <= COMMANDS
 
 
 @pytest.mark.parametrize("profile", ["ardupilot", "px4"])
