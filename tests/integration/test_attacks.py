@@ -24,7 +24,7 @@ from detector.config import SessionSettings, Settings
 from detector.fleet import Fleet, due_turns
 from detector.states import State
 from detector.values import SendText, SessionSpec
-from mavdiag.link.codec import Decoder, Encoder, field_index
+from mavdiag.link.codec import Decoder, Encoder
 from mavdiag.link.datagrams import Datagrams, as_columns
 from mavdiag.link.keys import KeptSigning
 from mavdiag.link.messages import Component, MavCmd, MessageId, Severity
@@ -275,7 +275,7 @@ def acting(vehicle: MadeVehicle, **more: Any) -> Attacked:
 def actions(bench: Attacked) -> list[tuple[int, int]]:
     """Vehicle and command of what the detector commanded but rates."""
     frames = [one for one in received(bench.far) if one.msgid in (MessageId.COMMAND_LONG, MessageId.COMMAND_INT)]
-    asked = [[int(one.fields[field_index(one.msgid, n)]) for n in ("target_system", "command")] for one in frames]
+    asked = (one.numbers("target_system", "command") for one in frames)
     return [(vehicle, command) for vehicle, command in asked if command not in COMMANDS]
 
 
@@ -432,7 +432,7 @@ def test_nothing_else_is_ever_sent_over_a_long_story(tmp_path: Path) -> None:
             sent[frame.msgid] += 1
             assert frame.compid == Component.ONBOARD_COMPUTER
             if frame.msgid in (MessageId.COMMAND_LONG, MessageId.COMMAND_INT):
-                commands[int(frame.fields[field_index(frame.msgid, "command")])] += 1
+                commands[frame.value("command")] += 1
     assert sent.keys() == SENT
     assert commands.keys() == COMMANDS
     told = "\n".join(bench.host.lines)

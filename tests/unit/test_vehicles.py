@@ -19,7 +19,7 @@ from detector.component import Handled, Requests
 from detector.relay import DATAGRAM_BYTES, Relay
 from mavdiag.airframe.vehicle_type import MULTIROTORS
 from mavdiag.errors import InputError
-from mavdiag.link.codec import Decoder, Encoder, field_index, message_name
+from mavdiag.link.codec import Decoder, Encoder, message_name
 from mavdiag.link.datagrams import as_columns
 from mavdiag.link.link import Link
 from mavdiag.link.messages import Autopilot, Component, MavCmd, MavResult, MavType, MessageId, ModeFlag
@@ -473,10 +473,9 @@ def test_an_interval_of_a_message_that_is_needed_is_denied_in_the_autopilots_nam
     found = handled(message, 1)
     assert found.passed == ()
     [ack] = Decoder().feed_datagram(found.answers[0], 0)
-    names = ("command", "result", "target_system", "target_component")
     assert (ack.sysid, ack.compid, ack.msgid) == (1, 1, MessageId.COMMAND_ACK)
-    told = [ack.fields[field_index(MessageId.COMMAND_ACK, name)] for name in names]
-    assert told == [MavCmd.SET_MESSAGE_INTERVAL, MavResult.DENIED, 255, Component.MISSIONPLANNER]
+    told = ack.numbers("command", "result", "target_system", "target_component")
+    assert told == (MavCmd.SET_MESSAGE_INTERVAL, MavResult.DENIED, 255, Component.MISSIONPLANNER)
 
 
 @pytest.mark.parametrize(
