@@ -251,7 +251,8 @@ class _Waiting:
     since_ns: int  # it is watched
     pieces: list[Frames] = field(default_factory=list)  # its autopilot's latest frames, and how many they are
     count: int = 0
-    beat: Frame | None = None  # its autopilot's latest heartbeat
+    mute: bool = True  # whether no heartbeat came of that one, of whatever kind
+    beat: Frame | None = None  # its latest heartbeat
     kind: tuple[int, int] = (0, 0)  # its MAV_TYPE and MAV_AUTOPILOT
     beats: int = 0  # how many like it came, each at its time after the one before
     checked_ns: int | None = None  # when its profile was looked for last
@@ -267,6 +268,7 @@ class _Waiting:
         while self.count - len(self.pieces[0]) >= kept:
             self.count -= len(self.pieces.pop(0))
         for frame in frames.of(MessageId.HEARTBEAT):
+            self.mute = False
             self._note(frame)
 
     def forget(self) -> None:
@@ -465,11 +467,14 @@ class LinkDecoder:
         kept = min(WAITING_FRAMES, WAITING_IN_ALL // len(self._waiting))
         for piece in pieces:
             waiting.take(piece.where(piece.rows["sender"] & 0xFF == AUTOPILOT), kept)
-        watched = now_ns - waiting.since_ns >= WATCH_S * NS_PER_S or waiting.count >= min(kept, CLEAR_FRAMES)
+        waited_s = (now_ns - waiting.since_ns) / NS_PER_S
+        watched = waited_s >= WATCH_S or waiting.count >= min(kept, CLEAR_FRAMES)
+        if waiting.mute and waiting.count and waited_s >= PUZZLED_S:
+            waiting.reason = "no heartbeat of its autopilot comes; does a router hold it back?"
         if (
             waiting.beat is None
             or (self._profile is None and not watched)
-            or not self._may_enter(sysid, waiting, (now_ns - waiting.since_ns) / NS_PER_S)
+            or not self._may_enter(sysid, waiting, waited_s)
         ):
             return []
         if waiting.checked_ns is not None and now_ns - waiting.checked_ns < RECHECK_S * NS_PER_S:

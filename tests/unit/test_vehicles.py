@@ -103,6 +103,8 @@ def test_b18_a_vehicle_of_unknown_profile_waits_and_says_why() -> None:
     assert not decoder.vehicles
     assert "RAW_IMU counts 16384" in decoder.waiting[1]
     assert "give --profile" in decoder.waiting[1]
+    run(decoder := LinkDecoder(), [(one, k * S // 100) for k, one in enumerate(frames(600))])
+    assert decoder.waiting[1].startswith("no heartbeat of its autopilot comes")
 
 
 def test_acknowledgements_and_commands_are_handed_out() -> None:
