@@ -17,7 +17,7 @@ import pytest
 from made_session import baseline_for
 from made_vehicle import Bench, MadeVehicle, received
 from reactions import USUAL, fly
-from test_attacks import Attacked
+from test_attacks import LOITER, Attacked
 from test_daemon_virtual import STATION, US, of
 from typer.testing import CliRunner
 
@@ -40,7 +40,6 @@ CLOSED = "PROP rotor unknown: inspection acknowledged"
 Benches = Callable[..., Attacked]
 ACK, *REPEATED = (STATION.encode(MessageId.COMMAND_LONG, *US, MavCmd.USER_1, n, *[0.0] * 7) for n in (0, 1, 1, 1))
 REAL32, INT8 = 9, 2
-LOITER = 5
 CRAFT = replace(USUAL, rate_hz=200.0)  # of its link
 
 

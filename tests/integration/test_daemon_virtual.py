@@ -43,7 +43,6 @@ US = (1, Component.ONBOARD_COMPUTER)
 WATCH = Settings(connect=UDP_IN, baseline=Path("b.json"))
 VEHICLE = replace(qdrone2(), propulsion=replace(qdrone2().propulsion, load_share=0.2))
 SETTLED_S = 15.0  # the live gate's 5 s, and the longest window
-FLOWN_S = 46.0
 STREAMS = (MessageId.RAW_IMU, MessageId.ATTITUDE_TARGET, MessageId.SERVO_OUTPUT_RAW, MessageId.ATTITUDE)
 
 
@@ -52,9 +51,8 @@ def benches() -> Iterator[Benches]:
     made: list[Bench] = []
 
     def make(settings: Settings, *vehicles: MadeVehicle, **options: object) -> Bench:
-        bench = Bench(settings, vehicles=list(vehicles), **options)  # type: ignore[arg-type]  # of several types
-        made.append(bench)
-        return bench
+        made.append(Bench(settings, vehicles=list(vehicles), **options))  # type: ignore[arg-type]  # of several types
+        return made[-1]
 
     yield make
     for bench in made:
@@ -294,8 +292,8 @@ def watching(benches: Benches) -> Benches:
 
 def alarms(bench: Bench) -> list[str]:
     """The texts of declared faults since the last time."""
-    texts = of(received(bench.far), MessageId.STATUSTEXT)
-    return [one.text("text") for one in texts if one.numbers("severity") <= (Severity.CRITICAL,)]
+    told = of(received(bench.far), MessageId.STATUSTEXT)
+    return texts([one for one in told if one.value("severity") <= Severity.CRITICAL])
 
 
 def finds_a_fault(bench: Bench) -> bool:
@@ -387,7 +385,7 @@ def baseline() -> Baseline:
 def test_l3_a_station_that_resets_rates_costs_a_tenth_of_the_time(baseline: Baseline, station: GroundStation) -> None:
     with closing(Bench(WATCH, baseline=baseline)) as bench:
         flight = VirtualFlight(bench, station)
-        flight.fly(PlantConfig(seed=9, vehicle=VEHICLE), FLOWN_S)
+        flight.fly(PlantConfig(seed=9, vehicle=VEHICLE), 46.0)
         session = bench.daemon.fleet.vehicles[1].session
         requests = [line for line in bench.host.lines if "asked for RAW_IMU" in line]
     assert session.working

@@ -260,7 +260,6 @@ def test_a_vehicle_gets_the_baseline_that_is_named_by_its_uid_also_where_it_is_s
     for name, baseline in (("1", plain), (UID, own), (OTHER, other)):
         baseline.save(tmp_path / f"{name}.json")
     found = baselines_in(tmp_path)
-    assert set(found) == {1, UID, OTHER}
     vehicles, uids = [MadeVehicle(k, Autopilot.GENERIC) for k in (1, 2, 3)], {2: UID}
     bench = Bench(Settings(connect=UDP_IN, baselines=tmp_path), baselines=found, vehicles=vehicles)
 

@@ -184,6 +184,18 @@ def test_l2_what_the_optional_streams_lack_is_told_and_hinders_nothing() -> None
     assert Note("the gyro is read from RAW_IMU again") in story.give(Received(alive=True))
 
 
+def test_a_wall_clock_that_is_set_late_changes_the_session_at_the_next_arming(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Baseline, "same_session", lambda _, started_ns: started_ns == 0)
+    story = watching()
+    before, story.session.unix_offset_ns = story.session.judge, 1
+    story.fly(3.0)
+    assert story.session.judge is before
+    story.fly(2.0, armed=False)
+    story.fly(6.0)
+    assert story.session.judge is not before
+    assert story.at(State.MONITORING)
+
+
 def test_l9_learning_that_fails_keeps_its_data_and_goes_on_with_more() -> None:
     story = Story()
     story.fly(26.0)
