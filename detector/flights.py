@@ -25,7 +25,7 @@ from mavdiag.baseline import Baseline, dump
 from mavdiag.errors import UsageError
 from mavdiag.judging import MIN_JUDGED_S
 from mavdiag.logs.tlog import tlog_record
-from mavdiag.storage import write_atomically
+from mavdiag.storage import leave_room, write_atomically
 from mavdiag.telemetry import Instant
 from mavdiag.units import NS_PER_S, NS_PER_US
 
@@ -106,6 +106,7 @@ class Flights(Courier):
             flight = self._open[sysid]
             if own and flight.file is not None:
                 with self._telling(flight.path):
+                    leave_room(flight.file)
                     flight.file.write(b"".join(own))
 
     def _landed(self, sysid: int, vehicle: Vehicle | None) -> None:

@@ -31,7 +31,7 @@ from mavdiag.baseline import Baseline
 from mavdiag.decision.alarm import Change, Event, Stage
 from mavdiag.errors import UsageError
 from mavdiag.link.messages import Severity
-from mavdiag.storage import begins, check_apart, check_writable
+from mavdiag.storage import begins, check_apart, check_writable, leave_room
 from mavdiag.units import NS_PER_S, NS_PER_US
 
 MB = 1_000_000
@@ -112,10 +112,13 @@ def older(path: Path, number: int) -> Path:
 class Appender:
     """A file that is appended to, each entry whole at once. It has one writer; a pipe that is full loses entries.
 
+    leaves_room: whether it is not written where the disk is nearly full.
     option: the command-line option that names it. warn: called once when writing begins to fail, and once when it works
     again. limit_mb: size that it does not exceed; None for no limit. keep: how many old ones stay.
     Raises UsageError if the file cannot be opened.
     """
+
+    leaves_room = False
 
     def __init__(
         self, path: Path, option: str, warn: Callable[[str], None], limit_mb: float | None = None, keep: int = 0
@@ -137,6 +140,8 @@ class Appender:
         try:
             if self._regular and self._size > 0 and self._size + len(data) > self._limit_bytes:
                 self._rotate()
+            if self._regular and self.leaves_room:
+                leave_room(self._file)
             written = self._file.write(data) or 0  # None from a pipe that is full
         except OSError as error:
             self._failed(error.strerror or str(error), entries)
@@ -228,6 +233,8 @@ class Journal(Appender):
 
 class Recorder(Appender):
     """A telemetry log (.tlog) of all frames received. epoch_ns: unix time less the host's clock [ns]."""
+
+    leaves_room = True
 
     def __init__(
         self, path: Path, epoch_ns: int, warn: Callable[[str], None], limit_mb: float | None = None, keep: int = 0

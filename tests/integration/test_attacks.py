@@ -154,7 +154,6 @@ def test_vehicles_of_one_source_do_not_delay_that_of_another(monkeypatch: pytest
         bench.fly(TICK_S, attack)
         judged.append(fleet.vehicles[1].turn)
     assert sum(after != before for before, after in itertools.pairwise(judged)) >= 12  # of 14; 8 by waiting alone
-    bench.close()
 
 
 @pytest.mark.parametrize("name", ATTACKS)
@@ -184,7 +183,6 @@ def test_a_vehicle_that_comes_from_another_address_is_no_second_sender_but_who_u
         bench.vehicles = old
         bench.fly(8.0, (vehicle.samples(4) for _ in itertools.count()))
         assert any("PROP second source" in line for line in bench.host.lines) is told
-    bench.close()
 
 
 class Beset(MadeVehicle):
@@ -330,7 +328,6 @@ def test_another_address_causes_no_action_and_hinders_none(name: str) -> None:
     vehicle.turning = 0.5
     bench.fly(3.0, beside(name))
     assert [one for one in actions(bench) if one[0] == 1] == [(1, MavCmd.NAV_LAND)] * 2
-    bench.close()
 
 
 @pytest.mark.parametrize("name", ["not signed", "another key", "replayed"])
@@ -355,7 +352,6 @@ def test_on_a_signed_link_frames_of_a_damaged_flight_cause_no_action(name: str, 
     genuine.turning = 0.5
     bench.fly(3.0)
     assert actions(bench) == [(1, MavCmd.NAV_LAND)] * 2
-    bench.close()
 
 
 def test_frames_in_our_own_name_are_refused_and_not_passed_on() -> None:
@@ -367,7 +363,6 @@ def test_frames_in_our_own_name_are_refused_and_not_passed_on() -> None:
     assert not any(b"motor 3" in data for data, _ in bench.behind[0].receive(0.0))
     assert any("10.0.0.66:4444 sends as 1/191, which is this detector" in line for line in bench.host.lines)
     assert dict(bench.daemon.figures().refused)["in our own name 1/191"] == 600
-    bench.close()
 
 
 def test_with_a_key_only_the_genuine_vehicle_is_heard_and_what_is_sent_is_signed(tmp_path: Path) -> None:
@@ -390,7 +385,6 @@ def test_with_a_key_only_the_genuine_vehicle_is_heard_and_what_is_sent_is_signed
     frames = [frame for data, _ in bench.far.receive(0.0) for frame in verifier.feed(data, 0)]
     assert MessageId.HEARTBEAT in {frame.msgid for frame in frames}
     assert any("refused" in text and Refusal.UNSIGNED in text for text in bench.host.lines)
-    bench.close()
 
 
 # All that the detector may send to a vehicle, and to those behind. No arming, no mode; parameters are read only.
