@@ -229,6 +229,7 @@ class Session:
             self._gyro, other = gyro, "; what was learnt may not suit another sensor" * (had_gyro and not back)
             self._effects.append(Note(text + poor * (profile.imu == LAST_RESORT) + other))
             self._notices += [Notice(Kind.OTHER_GYRO, (gyro,))] * had_gyro
+            self._begin_learning()  # a flight of two gyros teaches neither
         if streams.scale_doubt and not had_doubt:
             felt = f"but {streams.scale_doubt}"
             self._effects.append(Note(f"the vehicle does not feel 1 g by the scale of the profile {own.name}, {felt}"))

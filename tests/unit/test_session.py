@@ -208,6 +208,8 @@ def test_l9_learning_that_fails_keeps_its_data_and_goes_on_with_more() -> None:
     assert "PROP not learned, goes on: roll: the input is no.." in story.texts
     [job] = [effect for effect in story.fly(25.0) if isinstance(effect, Learn)]
     assert len(job.telemetry.need(Signal.BODY_RATE)) == pytest.approx(40 * 100, abs=10)
+    story.give(Received(alive=True, imu=MessageId.SCALED_IMU2))
+    assert story.state.flight_s == 0.0
 
 
 def weighing(felt_g: float, t_s: float) -> Received:
