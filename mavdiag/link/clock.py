@@ -4,7 +4,8 @@ Counters are milliseconds or microseconds since boot, in 32 bits (a turn is 49.7
 microseconds since 1970. The receiver's clock decides between a wrap, a reboot and a leap; it never adds its jitter to a
 stamp. What is out of line is left out until others follow it. A clock that is set back repeats stamps; once it passes
 the highest one again the receiver's clock shows how much time was lost, and what follows is a piece of its own. All of
-the stamps must show it: of a burst that a link delays and reorders, those that come last are hardly late.
+the stamps must show it, and more of it than late frames of this link usually do: of a burst that a link delays and
+reorders, those that come last are hardly late.
 
 Clocks. The first stamped message's clock is the timeline; the others are laid over it. A message stamped c arrives at
 h = c + origin + delay, delay >= 0: the least h - c of a window, the clock's lead, is its origin to within the least
@@ -265,7 +266,8 @@ def _unwrapped(mem: Fields, reading: Fields, tick: int, turn: int, raw: int, now
             reading.late_ns = 0
         lost_ns = now_ns - reading.high_host_ns - step * tick
         reading.lost_ns, reading.late_ns = min(reading.lost_ns, lost_ns), max(reading.late_ns, lost_ns)
-        reading.behind, reading.behind_ns = reading.behind + 1 if clock_ns > reading.behind_ns else 1, clock_ns
+        more = reading.behind + int(elapsed_ns > 0 or reading.behind == 0)  # what comes at once counts once
+        reading.behind, reading.behind_ns = more if clock_ns > reading.behind_ns else 1, clock_ns
     elif step > 0:
         reading.usual_ns = max(0, reading.usual_ns - (elapsed_ns >> CALMED_SHIFT))
         lost_ns = min(reading.lost_ns, now_ns - reading.high_host_ns - step * tick)

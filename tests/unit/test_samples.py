@@ -424,8 +424,9 @@ def test_late_frames_and_a_burst_whose_newest_stamp_comes_first_are_no_clock_tha
     late_ns = host + np.random.default_rng(1).integers(0, 120, len(host)) * MS
     order = np.argsort(late_ns, kind="stable")
     assert taken((MS_32, raw[order], late_ns[order]))[0].backs == 0
-    raw[490:500] = np.roll(raw[490:500], 1)
-    _, (t_ns,) = taken((MS_32, raw, np.repeat(host[9::10], 10)))
+    raw[490:500], bursts = np.roll(raw[490:500], 1), np.repeat(host[9::10], 10)
+    bursts[491:500] += 90 * MS  # the link stalls
+    _, (t_ns,) = taken((MS_32, raw, bursts))
     assert t_ns.tolist() == (raw * MS).tolist()
 
 

@@ -193,7 +193,6 @@ def test_a_wall_clock_that_is_set_late_changes_the_session_at_the_next_arming(mo
     story.fly(2.0, armed=False)
     story.fly(6.0)
     assert story.session.judge is not before
-    assert story.at(State.MONITORING)
 
 
 def test_l9_learning_that_fails_keeps_its_data_and_goes_on_with_more() -> None:
