@@ -261,10 +261,12 @@ class Daemon:
 
     def _spec(self, sysid: int, profile: Profile) -> SessionSpec | None:
         baseline = self._own(sysid) or self._baseline
-        held = self._inspections.held(sysid, None if baseline is None else baseline.propellers)
         before, uid = self.fleet.vehicles.get(sysid), self.fleet.link.vehicles[sysid].uid
-        if before is not None and before.session.spec.baseline is not baseline:
-            self._reporter.record(sysid, Note(f"another vehicle, by its uid {uid}"))
+        swapped = before is not None and before.session.spec.baseline is not baseline
+        if swapped:
+            self._reporter.record(sysid, Note(f"its uid is {uid}: it is not judged by the same baseline any more"))
+        # The new propellers of another vehicle close no inspection of this one.
+        held = self._inspections.held(sysid, None if baseline is None or swapped else baseline.propellers)
         if baseline is None and self._settings.learn is None:
             where = f"; its uid is {uid}" if uid else ""
             self._host.say(f"vehicle {sysid}: not watched: it has no baseline; name one in [vehicles.{sysid}]{where}")
