@@ -98,7 +98,7 @@ def check_writable(path: Path) -> None:
 def leave_room(file: BinaryIO) -> None:
     """Raise OSError if its disk has no room for more than what matters more than this file: see `ROOM_BYTES`."""
     disk = os.fstatvfs(file.fileno())
-    if disk.f_bavail * disk.f_frsize < ROOM_BYTES:
+    if disk.f_blocks and disk.f_bavail * disk.f_frsize < ROOM_BYTES:  # some file systems do not tell
         raise OSError(errno.ENOSPC, f"less than {ROOM_BYTES // 1_000_000} MB are left there")
 
 
