@@ -128,4 +128,9 @@ class Guard:
 
 
 def _address(source: Source) -> str:
-    return ":".join(map(str, source[:2])) if isinstance(source, tuple) else str(source)
+    """Who that is, for a person; a link with one other end has no addresses.
+
+    >>> _address(("10.0.0.1", 14550, 0, 0)), _address(None)
+    ('10.0.0.1:14550', 'somebody else')
+    """
+    return ":".join(map(str, source[:2])) if isinstance(source, tuple) else str(source or "somebody else")
