@@ -127,7 +127,7 @@ def _serve(settings: Settings, *, reset_stamp: bool) -> None:
         hooks = [Hook(address, _say) for address in settings.hook]
         stack.callback(close_all, couriers := list[Courier](hooks))
         if settings.history is not None:
-            flights = Flights(settings.history, settings.flights or Path(), epoch_ns, _say)
+            flights = Flights(settings.history, settings.flights or Path(), _say)
             couriers.append(flights)
         if settings.metrics is not None:
             from detector.metrics import Metrics  # only if asked for: the import takes its time

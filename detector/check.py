@@ -2,6 +2,7 @@
 
 import http.client
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 
 from detector.config import ANY, NOT_KEPT, Settings, check_installed, split_address
 from detector.journal import check_files
@@ -41,8 +42,6 @@ def plan(
         yield f"judges by  {settings.baseline or settings.save}: {_summary(baseline, settings)}"
     elif settings.learn is not None:
         about = f" about {airframe.name}" if airframe else ""
-        if settings.save is not None:
-            check_writable(settings.save)
         kept = NOT_KEPT if settings.save is None else f"kept in {settings.save}"
         yield f"learns     from {settings.learn:g} s of healthy flight{about}, {kept}"
     for sysid, known in own.items():
@@ -69,6 +68,8 @@ def _files_and_ports(settings: Settings) -> Iterator[str]:
             yield f"{option:<10} {path}, at most {keep + 1} files of {mb:g} MB"
     if settings.history is not None:
         check_installed("--history", "SQLAlchemy", "history")
+        flights = settings.flights or Path()  # is made where it is not there
+        check_writable(next(one for one in (flights, *flights.absolute().parents) if one.exists()) / "1.json")
         yield f"history    {settings.history}; flights wait in {settings.flights}"
     if settings.metrics is not None:
         yield f"metrics    {Access(*split_address(settings.metrics, 'metrics')).url}metrics"

@@ -24,7 +24,7 @@ from detector.notify import Notifier
 from detector.relay import Relay
 from detector.rules import parse_rules
 from detector.states import State
-from detector.values import DaemonFigures, Effect, EventOpened, Learn, LinkFigures, SessionSpec, is_working
+from detector.values import DaemonFigures, Effect, EventOpened, Learn, LinkFigures, Note, SessionSpec, is_working
 from mavdiag import __version__
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import Baseline
@@ -96,7 +96,8 @@ class Daemon:
     ) -> None:
         self._settings, self._host, self._link, self._behind = settings, host, link, tuple(behind)
         self._baseline, self._baselines, self._fitter = baseline, dict(baselines or {}), fitter
-        self._flights, self._uid_asked = flights, dict[int, list[Instant]]()
+        self._by_uid = any(isinstance(whose, str) for whose in self._baselines)
+        self._flights, self._uid_asked = flights, dict[int, tuple[int, list[Instant]]]()
         self._airframe, self._notifier, self._metrics, self._web = airframe, notifier or Notifier({}), metrics, web
         self._relay = Relay(link, behind, recorder=recorder, upward=self._upward)
         self._kept, self._signing = signing, None if signing is None else signing.signing
@@ -110,7 +111,7 @@ class Daemon:
             most=settings.max_vehicles,
             signing=self._signing,
             passed=self._passed if behind or recorder is not None or flights is not None else None,
-            knows=self._knows,
+            knows=self._knows if self._by_uid else None,
         )
         self._guard = Guard(self.fleet.link, self._signing)
         files = {hook.name: hook for hook in hooks} | {"journal": journal, "record": recorder, "history": flights}
@@ -240,18 +241,19 @@ class Daemon:
         return self._senders[vehicle]
 
     def _knows(self, sysid: int) -> bool:
-        """Whether the uid is known that a baseline may be named by; it is asked for."""
-        by_uid = any(isinstance(whose, str) for whose in self._baselines)
-        if not by_uid or sysid in self._baselines or self.fleet.link.vehicles[sysid].uid:
+        """Whether the uid is known that a baseline may be named by; it is asked for after each start of the vehicle."""
+        stream, now = self.fleet.link.vehicles[sysid], self._now()
+        reboots, (boot, asked) = stream.state.timeline.reboots, self._uid_asked.get(sysid, (0, []))
+        if sysid in self._baselines or (stream.uid and not reboots):
             return True
-        asked, now = self._uid_asked.setdefault(sysid, []), self._now()
+        self._uid_asked[sysid] = reboots, asked = reboots, asked if boot == reboots else []
         if not asked or now - asked[-1] >= BEAT_S:
             if len(asked) == UID_TRIES:
                 return True
             asked.append(now)
             frame = self._sender(sysid).command(MavCmd.REQUEST_MESSAGE, MessageId.AUTOPILOT_VERSION)
             self._relay.send(frame, to_all=False, source=self.fleet.link.source(sysid))
-        return False
+        return stream.uid != ""
 
     def _own(self, sysid: int) -> Baseline | None:
         stream = self.fleet.link.vehicles.get(sysid)
@@ -259,9 +261,13 @@ class Daemon:
 
     def _spec(self, sysid: int, profile: Profile) -> SessionSpec | None:
         baseline = self._own(sysid) or self._baseline
-        held = self._inspections.held(sysid, None if baseline is None else baseline.propellers)
+        before, uid = self.fleet.vehicles.get(sysid), self.fleet.link.vehicles[sysid].uid
+        swapped = before is not None and before.session.spec.baseline is not baseline
+        if swapped:
+            self._reporter.record(sysid, Note(f"its uid is {uid}: it is not judged by the same baseline any more"))
+        # The new propellers of another vehicle close no inspection of this one.
+        held = self._inspections.held(sysid, None if baseline is None or swapped else baseline.propellers)
         if baseline is None and self._settings.learn is None:
-            uid = self.fleet.link.vehicles[sysid].uid
             where = f"; its uid is {uid}" if uid else ""
             self._host.say(f"vehicle {sysid}: not watched: it has no baseline; name one in [vehicles.{sysid}]{where}")
             return None
@@ -312,6 +318,8 @@ class Daemon:
             self._flights.add_left(lambda sysid: self._own(sysid) or self._baseline)
 
     def _beat(self, now: Instant) -> None:
+        for sysid in self.fleet.link.vehicles if self._by_uid else ():
+            self._knows(sysid)
         for sysid, vehicle in self.fleet.vehicles.items():
             vehicle.session.unix_offset_ns = self._unix_ns() - self._host.now_ns()
             if vehicle.session.working:

@@ -25,7 +25,7 @@ from mavdiag.link.messages import Component
 from mavdiag.link.profiles import Profile
 from mavdiag.link.sequence import Source
 from mavdiag.link.signing import Signing
-from mavdiag.link.vehicles import VEHICLES_MAX, LinkDecoder
+from mavdiag.link.vehicles import VEHICLES_MAX, LinkDecoder, VehicleStream
 from mavdiag.telemetry import Instant, Series, Signal
 from mavdiag.units import NS_PER_MS, NS_PER_S
 
@@ -115,7 +115,8 @@ class Fleet:
     """All vehicles on one link.
 
     spec_of: what to do with the vehicle of a system id and profile; None for one that is left alone.
-    knows: whether all is known that the spec of a system id rests on; a vehicle waits until it is.
+    knows: whether the uid is known that the spec of a system id rests on; a vehicle waits until it is, and is another
+    one once it tells another. None where none rests on it.
     profile: of all vehicles, None to go by what each sends. only: the one system id to watch, None for all.
     datagrams: whether a chunk of bytes holds whole frames. most: how many vehicles may enter.
     signing, passed: as in `LinkDecoder`.
@@ -131,7 +132,7 @@ class Fleet:
         most: int = VEHICLES_MAX,
         signing: Signing | None = None,
         passed: list[tuple[bytes, int]] | None = None,
-        knows: Callable[[int], bool] = lambda sysid: True,
+        knows: Callable[[int], bool] | None = None,
     ) -> None:
         ours = [sysid << 8 | Component.ONBOARD_COMPUTER for sysid in (range(1, 256) if only is None else (only,))]
         self.link = LinkDecoder(
@@ -141,23 +142,29 @@ class Fleet:
         self.longest_s = 0.0  # longest that a vehicle waited lately for a turn that was due
         self._slow: tuple[bool, Instant] | None = None  # what was told of that last, and when
         self._spec_of, self._knows = spec_of, knows
-        self._left: set[int] = set()
+        self._uids: dict[int, str] = {}  # by which it was decided whether and how a system id is watched
 
     def take(self, some: Datagrams, now: Instant) -> None:
         """Take what the link brought."""
         self.link.take(some, now.ns)
-        for sysid in self.link.vehicles.keys() - self.vehicles.keys() - self._left:
-            if not self._knows(sysid):
+        for sysid, stream in self.link.vehicles.items():
+            uid = stream.uid if self._knows else ""
+            if self._uids.get(sysid) != uid and (self._knows is None or self._knows(sysid)):
+                self._uids[sysid] = uid
+                self._begin(sysid, stream, now)
+            elif sysid not in self.vehicles and self._knows:
                 self.link.received(sysid)  # what it tells of itself is in the stream then
-                continue
-            spec = self._spec_of(sysid, self.link.vehicles[sysid].profile)
-            if spec is None:
-                self._left.add(sysid)
-                self.link.give_up(sysid)
-            else:
-                self.vehicles[sysid] = Vehicle(spec, now)
-        for sysid in self._left:
-            self.link.leave(sysid)
+            elif sysid not in self.vehicles:
+                self.link.leave(sysid)
+
+    def _begin(self, sysid: int, stream: VehicleStream, now: Instant) -> None:
+        spec, old = self._spec_of(sysid, stream.profile), self.vehicles.get(sysid)
+        self.link.claim(sysid, ours=spec is not None)
+        if spec is None:
+            self.vehicles.pop(sysid, None)
+        elif old is None or old.session.spec.baseline is not spec.baseline:
+            self.vehicles[sysid] = Vehicle(spec, now)
+            self.vehicles[sysid].session.reboots = stream.state.timeline.reboots
 
     def judge(self, now: Instant, has_time: Callable[[], bool] = lambda: True) -> list[Turn]:
         """Give those their turn that are due, as in `due_turns`. Time alone changes things: call it regularly."""

@@ -12,7 +12,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import datetime, timedelta
 from functools import partial
 from pathlib import Path
 from typing import BinaryIO
@@ -25,9 +25,9 @@ from mavdiag.baseline import Baseline, dump
 from mavdiag.errors import UsageError
 from mavdiag.judging import MIN_JUDGED_S
 from mavdiag.logs.tlog import tlog_record
-from mavdiag.storage import write_atomically
+from mavdiag.storage import leave_room, write_atomically
 from mavdiag.telemetry import Instant
-from mavdiag.units import NS_PER_US
+from mavdiag.units import NS_PER_S, NS_PER_US
 
 ADD_S = 600.0  # that one flight may take to be judged (our choice: an hour at 1 kHz on a small computer)
 GONE_S = 60.0  # without a frame a flight is over (our choice: a radio is lost for less, a battery's change takes more)
@@ -36,25 +36,26 @@ MAVLINK_2 = 0xFD  # first byte of a frame; its system id is the sixth, of MAVLin
 
 @dataclass(slots=True)
 class _Flight:
-    file: BinaryIO | None  # None where it could not be opened
     path: Path
+    epoch_ns: int  # unix time less the host's clock at its begin: the wall clock may have been set since the start
     judges: list[Judge]  # of the vehicle's session in turn: a reboot brings another
     before_s: float  # flight time of the first of them at its begin
+    file: BinaryIO | None = None  # None where it could not be opened
 
 
 class Flights(Courier):
-    """Records the flights of all vehicles. folder: of the recordings. epoch_ns, warn: as in `Recorder`, `Courier`.
+    """Records the flights of all vehicles. folder: of the recordings. warn: as in `Courier`.
 
     Raises UsageError if the folder or the history's database cannot be used.
     """
 
-    def __init__(self, database: str, folder: Path, epoch_ns: int, warn: Callable[[str], None]) -> None:
+    def __init__(self, database: str, folder: Path, warn: Callable[[str], None]) -> None:
         check_installed("--history", "SQLAlchemy", "history")
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise UsageError(f"{folder}: {error.strerror}; name another folder of flights") from error
-        self._database, self._folder, self._epoch_ns = database, folder, epoch_ns
+        self._database, self._folder = database, folder
         self._open: dict[int, _Flight] = {}
         self._baselines: dict[str, Baseline] = {}  # by digest, for the thread
         self._left = sorted(p for p in folder.iterdir() if re.fullmatch(r"\d{1,3}-\d{8}T\d{6}\.tlog", p.name))
@@ -70,10 +71,13 @@ class Flights(Courier):
             if flight is not None and session.judge is not None and session.judge not in flight.judges:
                 flight.judges.append(session.judge)
             if flight is None and flies and session.judge is not None:
-                path = self._folder / f"{sysid}-{utc:%Y%m%dT%H%M%S}.tlog"
-                self._open[sysid] = flight = _Flight(None, path, [session.judge], session.judge.flight_s)
-                with self._telling(path):
-                    flight.file = path.open("wb", buffering=0)
+                epoch_ns, at = round(utc.timestamp() * NS_PER_S) - now.ns, utc
+                begun = _Flight(self._folder, epoch_ns, [session.judge], session.judge.flight_s)
+                self._open[sysid] = begun
+                with self._telling(self._folder):
+                    while (path := self._folder / f"{sysid}-{at:%Y%m%dT%H%M%S}.tlog").exists():
+                        at += timedelta(seconds=1)  # the wall clock was set back
+                    begun.path, begun.file = path, path.open("xb", buffering=0)
             elif flight is not None and not flies:
                 self._landed(sysid, vehicle)
         if self._open:
@@ -82,7 +86,7 @@ class Flights(Courier):
     def end(self, vehicles: Mapping[int, Vehicle]) -> None:
         """The daemon stops: what flies has landed as far as it can know."""
         for sysid in tuple(self._open):
-            self._landed(sysid, vehicles[sysid])
+            self._landed(sysid, vehicles.get(sysid))
 
     def add_left(self, baseline_of: Callable[[int], Baseline | None]) -> None:
         """Try again what an earlier start left, of vehicles whose baseline is known. baseline_of: by system id."""
@@ -97,22 +101,25 @@ class Flights(Courier):
         for frame, host_ns in passed:
             sysid = frame[5] if frame[0] == MAVLINK_2 else frame[3]
             if sysid in records:
-                records[sysid].append(tlog_record((self._epoch_ns + host_ns) // NS_PER_US, frame))
+                records[sysid].append(tlog_record((self._open[sysid].epoch_ns + host_ns) // NS_PER_US, frame))
         for sysid, own in records.items():
             flight = self._open[sysid]
             if own and flight.file is not None:
                 with self._telling(flight.path):
+                    leave_room(flight.file)
                     flight.file.write(b"".join(own))
 
-    def _landed(self, sysid: int, vehicle: Vehicle) -> None:
+    def _landed(self, sysid: int, vehicle: Vehicle | None) -> None:
         flight = self._open.pop(sysid)
         if flight.file is None:
             return
-        flight.file.close()
         flown_s = sum(judge.flight_s for judge in flight.judges) - flight.before_s
-        if vehicle.session.judge is not None and flown_s < MIN_JUDGED_S:
-            flight.path.unlink(missing_ok=True)  # it was armed and did not fly
-        else:
+        flew = vehicle is None or vehicle.session.judge is None or flown_s >= MIN_JUDGED_S
+        with self._telling(flight.path):
+            flight.file.close()
+            if not flew:
+                flight.path.unlink(missing_ok=True)
+        if flew:
             self._hand_over(flight.path, sysid, flight.judges[0].baseline)
 
     def _hand_over(self, path: Path, sysid: int, baseline: Baseline) -> None:

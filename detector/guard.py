@@ -1,11 +1,12 @@
 """What somebody tries on a link is told, once each: a second sender in a vehicle's name or in ours, stamps that leap,
-refused signatures, strangers that take up the connections of a server. No clock, no socket."""
+refused signatures, strangers that take up a server's connections; and a clock that is set back. No clock, no socket."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from detector.fleet import Turn
 from detector.values import Effect, Note, SendText
+from mavdiag.link.codec import AUTOPILOT
 from mavdiag.link.messages import Component, Severity
 from mavdiag.link.sequence import PINNED_S, LinkCount, Source
 from mavdiag.link.signing import Refusal, Signing
@@ -23,6 +24,9 @@ LEAPS = 3  # stamps that leap before they are told: one is a damaged frame (our 
 @dataclass(slots=True)
 class _Known:
     source: Source = None
+    heard_ns: int = 0  # when it was heard there last
+    refused: int = 0  # frames of other sources, by the last look
+    moved: int = 0  # those by when it came from elsewhere: its own
     restarts: int = 0  # of its running numbers
     clashes: int = 0  # ... two frames of one number
     contrary: int = 0  # disarmed heartbeats amid armed ones
@@ -84,20 +88,27 @@ class Guard:
 
     def _second(self, sysid: int, known: _Known) -> Iterable[Effect]:
         (intruder, impostor), count = self._link.strangers(sysid), self._link.count(sysid)
-        source, leaps = self._link.source(sysid), self._link.vehicles[sysid].state.timeline.leaps
+        source, timeline = self._link.source(sysid), self._link.vehicles[sysid].state.timeline
+        leaps = timeline.leaps
+        heard_ns = self._link.decoder.heard.heard_ns(sysid << 8 | AUTOPILOT)
+        refused = intruder.frames if intruder else 0
         if known.source not in (None, source):
             moved = f"{_address(source)} instead of {_address(known.source)}, which was silent for {PINNED_S:g} s"
             yield Note(f"vehicle {sysid} is heard from {moved}")
-        known.source = source
-        if intruder is not None and known.news("source"):
+            known.moved = refused
+        elif intruder and known.refused > known.moved and heard_ns > known.heard_ns and known.news("source"):
             where = _address(intruder.source)
             yield Note(f"{where} sends in the name of vehicle {sysid}, which is heard elsewhere; it is not heard")
             yield SendText(Severity.WARNING, f"PROP second source sends as vehicle {sysid}")
+        known.source, known.heard_ns, known.refused = source, heard_ns, refused
         if impostor is not None and known.news("ours"):
             yield Note(f"{_address(impostor.source)} sends as {sysid}/{OURS}, which is this detector; it is not heard")
             yield SendText(Severity.WARNING, f"PROP another sender as {sysid}/{OURS}, not heard")
         if count is not None:
             yield from self._numbers(sysid, known, count)
+        if timeline.backs and known.news("clock"):
+            yield Note(f"the clock of vehicle {sysid} was set back: its monitors begin anew there")
+            yield SendText(Severity.WARNING, "PROP clock of the vehicle was set back")
         if leaps >= LEAPS and leaps >= 10 * known.leaps:
             known.leaps = leaps
             yield Note(f"vehicle {sysid}: stamps that leap: {leaps} dropped; another sender?")
@@ -117,4 +128,9 @@ class Guard:
 
 
 def _address(source: Source) -> str:
-    return ":".join(map(str, source[:2])) if isinstance(source, tuple) else str(source)
+    """Who that is, for a person; a link with one other end has no addresses.
+
+    >>> _address(("10.0.0.1", 14550, 0, 0)), _address(None)
+    ('10.0.0.1:14550', 'somebody else')
+    """
+    return ":".join(map(str, source[:2])) if isinstance(source, tuple) else str(source or "somebody else")

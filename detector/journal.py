@@ -31,7 +31,7 @@ from mavdiag.baseline import Baseline
 from mavdiag.decision.alarm import Change, Event, Stage
 from mavdiag.errors import UsageError
 from mavdiag.link.messages import Severity
-from mavdiag.storage import begins, check_apart
+from mavdiag.storage import begins, check_apart, check_writable, leave_room
 from mavdiag.units import NS_PER_S, NS_PER_US
 
 MB = 1_000_000
@@ -112,10 +112,13 @@ def older(path: Path, number: int) -> Path:
 class Appender:
     """A file that is appended to, each entry whole at once. It has one writer; a pipe that is full loses entries.
 
+    leaves_room: whether it is not written where the disk is nearly full.
     option: the command-line option that names it. warn: called once when writing begins to fail, and once when it works
     again. limit_mb: size that it does not exceed; None for no limit. keep: how many old ones stay.
     Raises UsageError if the file cannot be opened.
     """
+
+    leaves_room = False
 
     def __init__(
         self, path: Path, option: str, warn: Callable[[str], None], limit_mb: float | None = None, keep: int = 0
@@ -137,6 +140,8 @@ class Appender:
         try:
             if self._regular and self._size > 0 and self._size + len(data) > self._limit_bytes:
                 self._rotate()
+            if self._regular and self.leaves_room:
+                leave_room(self._file)
             written = self._file.write(data) or 0  # None from a pipe that is full
         except OSError as error:
             self._failed(error.strerror or str(error), entries)
@@ -229,6 +234,8 @@ class Journal(Appender):
 class Recorder(Appender):
     """A telemetry log (.tlog) of all frames received. epoch_ns: unix time less the host's clock [ns]."""
 
+    leaves_room = True
+
     def __init__(
         self, path: Path, epoch_ns: int, warn: Callable[[str], None], limit_mb: float | None = None, keep: int = 0
     ) -> None:
@@ -256,13 +263,16 @@ class Recorder(Appender):
 
 
 def check_files(settings: Settings) -> None:
-    """Raise UsageError if two settings name one file, or a journal or recording would be appended to another kind."""
+    """Raise UsageError if two settings name one file, a journal or recording would be appended to another kind, or what
+    is learned could not be kept."""
     own = settings.journal, settings.record, settings.save
     named = (settings.baseline, settings.signing_key, settings.web_token_file, settings.history, settings.airframe)
     known = [Path(name) for name in (*named, *(one.baseline for one in settings.vehicles.values())) if name is not None]
     for number, path in enumerate(own):
         if path is not None:
             check_apart(path, *own[number + 1 :], *known)
+    if settings.save is not None:
+        check_writable(settings.save)
     for option, path, kind in (("journal", own[0], rb'\s*\{"kind"'), ("record", own[1], rb".{8}[\xfd\xfe]")):
         if path is not None and not begins(path, kind):
             raise UsageError(f"{path}: is no {option} so far, and would be spoilt; choose another --{option} file")

@@ -48,7 +48,8 @@ class Session:
         self.unix_offset_ns = spec.unix_offset_ns  # renewed, for a wall clock may be set late
         self.latest, self.reboots = now, 0  # when anything came from the vehicle last (host)
         self.baseline = spec.baseline  # what it judges by, None until it is learned
-        self.judge: Judge | None = None  # the chain at work
+        self.judge: Judge | None = None  # the chain at work, and whether it is of the session that taught its baseline
+        self._same = False
         self._held = spec.held  # what is known of the vehicle while there is no chain: an open inspection
         self._presenter, self._telling = Presenter(settings.texts_per_minute), Telling()
         modes, autopilot = parse_modes(settings.on_fault_modes), spec.profile.autopilot
@@ -100,6 +101,8 @@ class Session:
         if armed is not None and len(armed):
             was_armed, self.armed = self.armed, bool(armed.values[-1, 0] >= ARMED_FROM)
             self._armings += self.armed and not was_armed
+            if self.armed and not was_armed and self.judge and self._same_session(now) is not self._same:
+                self._judge_anew("another session, by the wall clock")
         held = self._held if self.judge is None else self.judge.memory.decision.decided
         if held.stage in (Stage.FAULT, Stage.SUSPECTED):
             held = self.diagnosis  # with the evidence that is told
@@ -151,11 +154,23 @@ class Session:
         self._presenter.per_minute, self.settings = tuned.texts_per_minute, tuned
         if "threshold_scale" not in settings or self.judge is None:
             return ()
-        self._effects = [*self.finish()]
-        self._held, self.judge = self._landed(), None  # a chain with other thresholds is made from the streams
-        if self.state is State.MONITORING:
-            self._move(Trigger.STREAMS_LOST, "the scale of the thresholds was set")
+        self._effects = []
+        self._judge_anew("the scale of the thresholds was set")
         return tuple(self._effects)
+
+    def _judge_anew(self, why: str) -> None:
+        """Let a chain with other thresholds be made from the streams."""
+        self._effects += self.finish()
+        self._held, self.judge = self._landed(), None
+        if self.state is State.MONITORING:
+            self._move(Trigger.STREAMS_LOST, why)
+
+    def _same_session(self, now: Instant) -> bool:
+        """Whether the baseline was taught in this session, by the wall clock, which may be set late."""
+        return self.baseline is not None and self.baseline.same_session(self._unix_ns(now))
+
+    def _unix_ns(self, now: Instant) -> int:
+        return now.ns + self.unix_offset_ns if self.unix_offset_ns else 0
 
     def _landed(self) -> Diagnosis:
         if self.judge is not None:
@@ -208,11 +223,13 @@ class Session:
         gyro = message_name(profile.imu) + f" of sensor {received.sensor}" * bool(received.sensor)
         if streams.gyro.latest is not None and gyro != self._gyro:
             missing = self._gyro + " of sensor 0" * bool(received.sensor)
-            text = f"the gyro is read from {gyro}, for {missing} does not come"
+            back = gyro == message_name(own.imu)
+            text = f"the gyro is read from {gyro}" + (" again" if back else f", for {missing} does not come")
             poor = ": the estimator's rates, filtered, at a low rate and without accelerometer"
-            self._gyro, other = gyro, "; what was learnt may not suit another sensor" * had_gyro
+            self._gyro, other = gyro, "; what was learnt may not suit another sensor" * (had_gyro and not back)
             self._effects.append(Note(text + poor * (profile.imu == LAST_RESORT) + other))
             self._notices += [Notice(Kind.OTHER_GYRO, (gyro,))] * had_gyro
+            self._begin_learning()  # a flight of two gyros teaches neither
         if streams.scale_doubt and not had_doubt:
             felt = f"but {streams.scale_doubt}"
             self._effects.append(Note(f"the vehicle does not feel 1 g by the scale of the profile {own.name}, {felt}"))
@@ -254,11 +271,10 @@ class Session:
         if self.baseline is not None and (self.judge is None or self.judge.baseline is not self.baseline):
             try:
                 check_link(self.baseline, profile=self.spec.profile.name, dt_s=self.baseline.link.dt_s)
-                offset_ns = self.unix_offset_ns
-                chain = chain_for(self.baseline, self.settings, now.ns + offset_ns if offset_ns else 0)
+                chain = chain_for(self.baseline, self.settings, self._unix_ns(now))
             except BaselineError as error:
                 return self._off(Trigger.REFUSED, str(error), error.short)
-            self.judge = Judge(self.baseline, chain, now, self._landed())
+            self.judge, self._same = Judge(self.baseline, chain, now, self._landed()), self._same_session(now)
             notes, notices = beginning(self.baseline, chain, self.settings)
             self._effects, self._notices = [*self._effects, *notes], [*self._notices, *notices]
         lack = self._lack(received)

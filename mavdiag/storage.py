@@ -4,6 +4,7 @@ A `Shelf` puts arrays aside that are too many for the memory, and a `Column` tho
 """
 
 import ctypes
+import errno
 import mmap
 import os
 import re
@@ -31,6 +32,7 @@ COLLECT_AT = 20_000  # containers more than before; a tick of a full link makes 
 KEPT = 8  # our choice: fewer are given back and faulted in again for each flight, and the most memory is the same
 MMAP_THRESHOLD, TRIM_THRESHOLD = -3, -1  # options of mallopt(3)
 ALIGN_BYTES = 8  # of an array in a file: that of its numbers
+ROOM_BYTES = 50_000_000  # of a disk that recordings leave to journals and open inspections (our choice)
 KIND_BYTES = 64  # of a file, which tell its kind (our choice)
 WRITE_BYTES = 1 << 20  # that are written at a time: many together take three times as long (our choice)
 
@@ -91,6 +93,13 @@ def check_writable(path: Path) -> None:
         raise UsageError(f"{path}: cannot be written, there is no folder {path.parent}; make it, or name another file")
     if not os.access(path.parent, os.W_OK):
         raise UsageError(f"{path}: cannot be written (no permission); name a folder you can write to")
+
+
+def leave_room(file: BinaryIO) -> None:
+    """Raise OSError if its disk has no room for more than what matters more than this file: see `ROOM_BYTES`."""
+    disk = os.fstatvfs(file.fileno())
+    if disk.f_blocks and disk.f_bavail * disk.f_frsize < ROOM_BYTES:  # some file systems do not tell
+        raise OSError(errno.ENOSPC, f"less than {ROOM_BYTES // 1_000_000} MB are left there")
 
 
 def check_apart(path: Path, *others: Path | None) -> None:

@@ -36,6 +36,8 @@ class _Mailbox:
             self.open = False
             os.close(self.fileno)
 
+    __del__ = close
+
 
 class MemoryEndpoint(Endpoint):
     """One end of a `memory_pair`, which makes it."""

@@ -4,7 +4,8 @@ Counters are milliseconds or microseconds since boot, in 32 bits (a turn is 49.7
 microseconds since 1970. The receiver's clock decides between a wrap, a reboot and a leap; it never adds its jitter to a
 stamp. What is out of line is left out until others follow it. A clock that is set back repeats stamps; once it passes
 the highest one again the receiver's clock shows how much time was lost, and what follows is a piece of its own. All of
-the stamps must show it: of a burst that a link delays and reorders, those that come last are hardly late.
+the stamps must show it, and more of it than late frames of this link usually do: of a burst that a link delays and
+reorders, those that come last are hardly late.
 
 Clocks. The first stamped message's clock is the timeline; the others are laid over it. A message stamped c arrives at
 h = c + origin + delay, delay >= 0: the least h - c of a window, the clock's lead, is its origin to within the least
@@ -38,6 +39,7 @@ DRIFT_SHIFT = 11  # the line gives way by one part in 2^11 of the time, ten time
 GONE_NS = 10 * NS_PER_S  # how long the old clock must be silent before a clock that no reboot explains takes over
 UPTIME_SLACK_NS = 10 * NS_PER_S  # how much older than that silence a vehicle may be that has rebooted in it
 BACK_NS = 40 * NS_PER_MS  # time that is lost where a clock is set back: rows bridge less, and reordering takes less
+CALMED_SHIFT = 9  # what a link's late frames seem to lose is forgotten by one part in 2^9 of the time (our choice)
 AGREED_STEP_NS = 2 * NS_PER_MS  # by at least so much: messages of one instant are rounded differently
 REBOOT_GAP_NS = NS_PER_S  # least time that a reboot takes on the timeline, so that nothing is joined across it
 WINDOW = 10  # seconds over which the least lead is taken: 1000 samples at 100 Hz, and 0.5 ms of drift at 50 ppm
@@ -83,10 +85,11 @@ def _integers(names: str, *others: tuple[str, Any, Any]) -> np.dtype[np.void]:
 # Where one message's counter stands: the message plus one, 0 for none; whether it has begun; highest count so far, with
 # its turns; when it was last received in line; the most that it was ahead of the receiver's clock, which drift takes
 # back slowly; the other clock that its latest samples show, with how many in a row agree on it; and how many samples
-# since the highest count were behind it, one after the other in their order, the last of them, when it was reached, and
-# how much time these samples all say was lost since.
+# since the highest count were behind it, one after the other in their order, the last of them, when it was reached, how
+# much time these samples all say was lost since, and the most that one says; and how much late ones say usually.
 _READING = _integers(
-    "msgid used count host_ns line_ns rival_ns rival_host_ns rivals behind behind_ns high_host_ns lost_ns"
+    "msgid used count host_ns line_ns rival_ns rival_host_ns rivals"
+    " behind behind_ns high_host_ns lost_ns late_ns usual_ns"
 )
 # How far the receiver's clock leads one of the vehicle's: whether it was seen, in which second first, with which lead,
 # and in which last; and the latest seconds in which it was seen, each at its place modulo `SECONDS`, with their least
@@ -97,10 +100,11 @@ _LEAD = _integers("seen first_s first_ns last_s", ("seconds", "i8", SECONDS), ("
 # messages; seconds in a row in which a shared clock was apart; and when it began, or was set last, and what it was.
 _OFFSET = _integers("known second begin_ns end_ns shared zeroed zero_ns odd since_s since_ns")
 # The vehicle: the clock that the others are laid over, -1 before the first stamp; what to add to it; latest time known;
-# when the last stamp was received; another clock that may take over; how often it started anew, and samples left out
-# because they leap; when the last stamp in line was, and the highest stamp, of the clock since boot and of unix time.
+# when the last stamp was received; another clock that may take over; how often it started anew, how often its clock was
+# set back, and samples left out because they leap; when the last stamp in line was, and the highest stamp, of the clock
+# since boot and of unix time.
 _MEM = _integers(
-    "reference base_ns t_ns host_ns rival_ns rival_host_ns rivals reboots leaps",
+    "reference base_ns t_ns host_ns rival_ns rival_host_ns rivals reboots backs leaps",
     ("seen_ns", "i8", 2),
     ("high_ns", "i8", 2),
 )
@@ -133,6 +137,11 @@ class VehicleTime:
     def reboots(self) -> int:
         """How often the vehicle started anew."""
         return self._told("reboots")
+
+    @property
+    def backs(self) -> int:
+        """How often its clock was set back."""
+        return self._told("backs")
 
     @property
     def leaps(self) -> int:
@@ -189,6 +198,7 @@ def stamp(
     reboots = sort == _BROKEN_OFF and _rebooted(mem, reading, raw * tick, now_ns)
     if reboots or sort == _SET_BACK:
         mem.reboots += int(reboots)
+        mem.backs += int(not reboots)
         _start_anew(mem, readings, leads, offsets)
         return REBOOT
     return NEVER
@@ -253,13 +263,19 @@ def _unwrapped(mem: Fields, reading: Fields, tick: int, turn: int, raw: int, now
     if step < 0:
         if reading.behind == 0:
             reading.high_host_ns, reading.lost_ns, reading.behind_ns = reading.host_ns, HIGHEST_NS, NEVER
-        reading.lost_ns = min(reading.lost_ns, now_ns - reading.high_host_ns - step * tick)
-        reading.behind, reading.behind_ns = reading.behind + 1 if clock_ns > reading.behind_ns else 1, clock_ns
+            reading.late_ns = 0
+        lost_ns = now_ns - reading.high_host_ns - step * tick
+        reading.lost_ns, reading.late_ns = min(reading.lost_ns, lost_ns), max(reading.late_ns, lost_ns)
+        more = reading.behind + int(elapsed_ns > 0 or reading.behind == 0)  # what comes at once counts once
+        reading.behind, reading.behind_ns = more if clock_ns > reading.behind_ns else 1, clock_ns
     elif step > 0:
+        reading.usual_ns = max(0, reading.usual_ns - (elapsed_ns >> CALMED_SHIFT))
         lost_ns = min(reading.lost_ns, now_ns - reading.high_host_ns - step * tick)
-        repeated, reading.behind = reading.behind >= AGREEING, 0
-        if repeated and lost_ns > BACK_NS and step * tick < LEAP_NS:
+        behind, reading.behind = reading.behind, 0
+        if behind >= AGREEING and lost_ns > max(BACK_NS, reading.usual_ns) and step * tick < LEAP_NS:
             return _SET_BACK, clock_ns
+        if behind:
+            reading.usual_ns = max(reading.usual_ns, reading.late_ns)
     ahead_ns = clock_ns - now_ns + (now_ns >> DRIFT_SHIFT)
     beyond_ns = step * tick - elapsed_ns  # of what the receiver's clock explains
     if beyond_ns > LEAP_NS and ahead_ns - reading.line_ns > LEAP_NS:

@@ -101,14 +101,10 @@ class Senders:
         """Let a sender never make room."""
         self._flags[key] |= _KEPT
 
-    def claim(self, keys: Iterable[int]) -> None:
-        """Hear nobody else in these names: they are ours."""
+    def claim(self, keys: Iterable[int], *, ours: bool = True) -> None:
+        """Hear nobody else in these names, for they are ours; or let others use them again."""
         for key in keys:
-            self._flags[key] |= _OURS
-
-    def give_up(self, key: int) -> None:
-        """Let others use a name that was ours."""
-        self._flags[key] &= ~_OURS & 0xFF
+            self._flags[key] = self._flags[key] & (0xFF ^ _OURS) | _OURS * ours
 
     def numbers(self, sources: Sequence[Source]) -> list[int]:
         """The numbers that stand for sources in `FRAME`: those of frames that are heard before the next call."""

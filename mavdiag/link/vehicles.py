@@ -49,7 +49,7 @@ CLEAR_FRAMES = 512  # of a vehicle that are enough to see its profile (our choic
 LAST_RESORT_S = 30.0  # without any IMU message, before the rates of ATTITUDE are read instead (our choice)
 USEFUL_FRAMES = 20  # of an IMU message, before it is taken at once (our choice)
 CHOICE_S = 1.0  # for which the choice stays open otherwise, from the first IMU message of any kind on (our choice)
-STOPPED_S = 3.0  # without a sample of the gyro, while other IMU messages come, before one of those is read (our choice)
+STOPPED_S = 3.0  # for which another IMU message must be the only one that comes, or the better one (our choice)
 REQUESTS_MAX = 16  # requests to one vehicle's computer at a time: a flood is not answered (our choice)
 MOST_PARAMETERS = 8192  # names that are kept of one vehicle, so that made-up ones cost little (our choice)
 
@@ -166,9 +166,9 @@ def uid_in(frames: Iterable[Frame]) -> str:
 class VehicleStream:
     """One vehicle's frames to telemetry, on one clock.
 
-    profile: how it sends; its IMU message is replaced by another that does come where no gyro sample comes of it.
+    profile: how it sends; another IMU message is read while no gyro sample comes of its own.
     sensor: number of the one whose rows of that message are read; 0 but where only another one's come.
-    mav_type: MAV_TYPE, if known. uid: as in `uid_in`. parameters: of its autopilot that passed by so far, by name.
+    mav_type: MAV_TYPE, if known. uid: the latest, as in `uid_in`. parameters: of its autopilot that passed by, by name.
     """
 
     def __init__(self, profile: Profile, mav_type: int | None = None) -> None:
@@ -177,7 +177,7 @@ class VehicleStream:
         self._own, self._since_ns = profile, 0
         self._imu = NO_FRAMES.rows
         self._settled = False  # whether the IMU message is chosen
-        self._mute_ns = 0  # since when other IMU messages come, but no gyro sample of the chosen one; 0 if it does
+        self._worse_ns = 0  # since when another one is the better choice, or the only one that comes; 0 if none is
         self.parameters: Mapping[str, float] = {}
 
     @property
@@ -189,32 +189,34 @@ class VehicleStream:
         """Take the vehicle's next frames, in order of arrival. talk: those of them that are no measurements."""
         if not self._settled and len(frames):
             self._choose_imu(frames)
-        self.uid = self.uid or uid_in(talk)
+        self.uid = uid_in(talk) or self.uid
         if talk and (told := parameters_in(talk, self.profile.autopilot)):
             merged = {**self.parameters, **told}
             self.parameters = merged if len(merged) <= MOST_PARAMETERS else self.parameters
             self.state.take_parameters(self.parameters)
         telemetry = self._decoder.step(self.state, self._of_sensor(frames) if self.sensor else frames)
-        if telemetry.get(Signal.BODY_RATE) is not None:
-            self._mute_ns = 0
-        elif self._settled and len(others := frames.of(*IMU_MESSAGES, compid=AUTOPILOT)):
-            self._choose_again(others)
+        own = self.profile.imu == self._own.imu and not self.sensor
+        if own and telemetry.get(Signal.BODY_RATE) is not None:
+            self._worse_ns = 0
+        elif self._settled and len(imus := frames.of(*IMU_MESSAGES, compid=AUTOPILOT)):
+            self._choose_again(imus)
         return telemetry
 
-    def _choose_again(self, others: Frames) -> None:
-        """Take another message, or another sensor's rows of the same, once the gyro was missing for `STOPPED_S`."""
-        first_ns, last_ns = others.rows["host_ns"][[0, -1]].tolist()
-        if not self._mute_ns:
-            self._mute_ns, self._imu = first_ns, others.rows[:0]
-        self._imu = np.concatenate((self._imu, others.rows))[-CLEAR_FRAMES:]
-        counts = Frames(others.data, self._imu).counts()
+    def _choose_again(self, imus: Frames) -> None:
+        """Take another message, or another sensor's rows of the same, once it was the better choice for `STOPPED_S`."""
+        first_ns, last_ns = imus.rows["host_ns"][[0, -1]].tolist()
+        if not self._worse_ns:
+            self._worse_ns, self._imu = first_ns, imus.rows[:0]
+        self._imu = np.concatenate((self._imu, imus.rows))[-CLEAR_FRAMES:]
+        counts = Frames(imus.data, self._imu).counts()
         chosen = with_imu(self._own, counts)
-        own = others.of(chosen.imu)
-        silent = last_ns - self._mute_ns > STOPPED_S * NS_PER_S and counts[chosen.imu] >= USEFUL_FRAMES
-        if silent and len(own):
-            numbers = own.records(_NUMBERED[chosen.imu])["id"].tolist() if chosen.imu in _NUMBERED else [0]
-            self.sensor, self._mute_ns = min(numbers), 0
-            self._decoder = SampleDecoder(chosen, map(_any_sensor, SOURCES) if self.sensor else SOURCES)
+        better = imus.of(chosen.imu)
+        sensor = int(better.records(_NUMBERED[chosen.imu])["id"].min(initial=255)) if chosen.imu in _NUMBERED else 0
+        if (chosen.imu, sensor) == (self.profile.imu, self.sensor):
+            self._worse_ns = 0
+        elif len(better) and last_ns - self._worse_ns > STOPPED_S * NS_PER_S and counts[chosen.imu] >= USEFUL_FRAMES:
+            self.sensor, self._worse_ns = sensor, 0
+            self._decoder = SampleDecoder(chosen, map(_any_sensor, SOURCES) if sensor else SOURCES)
 
     def _of_sensor(self, frames: Frames) -> Frames:
         """Without the rows of the IMU message that are another sensor's."""
@@ -255,7 +257,8 @@ class _Waiting:
     since_ns: int  # it is watched
     pieces: list[Frames] = field(default_factory=list)  # its autopilot's latest frames, and how many they are
     count: int = 0
-    beat: Frame | None = None  # its autopilot's latest heartbeat
+    mute: bool = True  # whether no heartbeat came of that one, of whatever kind
+    beat: Frame | None = None  # its latest heartbeat
     kind: tuple[int, int] = (0, 0)  # its MAV_TYPE and MAV_AUTOPILOT
     beats: int = 0  # how many like it came, each at its time after the one before
     checked_ns: int | None = None  # when its profile was looked for last
@@ -271,6 +274,7 @@ class _Waiting:
         while self.count - len(self.pieces[0]) >= kept:
             self.count -= len(self.pieces.pop(0))
         for frame in frames.of(MessageId.HEARTBEAT):
+            self.mute = False
             self._note(frame)
 
     def forget(self) -> None:
@@ -377,9 +381,9 @@ class LinkDecoder:
         heard, ours = self.decoder.heard, sysid << 8 | Component.ONBOARD_COMPUTER
         return heard.intruder(sysid << 8 | AUTOPILOT), heard.impostors.get(ours)
 
-    def give_up(self, sysid: int) -> None:
-        """Let others be a vehicle's on-board computer."""
-        self.decoder.heard.give_up(sysid << 8 | Component.ONBOARD_COMPUTER)
+    def claim(self, sysid: int, *, ours: bool) -> None:
+        """Hear nobody else as a vehicle's on-board computer, or let others be it."""
+        self.decoder.heard.claim((sysid << 8 | Component.ONBOARD_COMPUTER,), ours=ours)
 
     def feed(self, some: Datagrams, now_ns: int) -> dict[int, Received]:
         """Take what the link brought; return what is new, by vehicle that has entered."""
@@ -468,11 +472,14 @@ class LinkDecoder:
         kept = min(WAITING_FRAMES, WAITING_IN_ALL // len(self._waiting))
         for piece in pieces:
             waiting.take(piece.where(piece.rows["sender"] & 0xFF == AUTOPILOT), kept)
-        watched = now_ns - waiting.since_ns >= WATCH_S * NS_PER_S or waiting.count >= min(kept, CLEAR_FRAMES)
+        waited_s = (now_ns - waiting.since_ns) / NS_PER_S
+        watched = waited_s >= WATCH_S or waiting.count >= min(kept, CLEAR_FRAMES)
+        if waiting.mute and waiting.count and waited_s >= PUZZLED_S:
+            waiting.reason = "no heartbeat of its autopilot comes; does a router hold it back?"
         if (
             waiting.beat is None
             or (self._profile is None and not watched)
-            or not self._may_enter(sysid, waiting, (now_ns - waiting.since_ns) / NS_PER_S)
+            or not self._may_enter(sysid, waiting, waited_s)
         ):
             return []
         if waiting.checked_ns is not None and now_ns - waiting.checked_ns < RECHECK_S * NS_PER_S:

@@ -17,8 +17,8 @@ import pytest
 from made_session import baseline_for
 from made_vehicle import Bench, MadeVehicle, received
 from reactions import USUAL, fly
-from test_attacks import Attacked
-from test_daemon_virtual import STATION, US, field, of
+from test_attacks import LOITER, Attacked
+from test_daemon_virtual import STATION, US, of
 from typer.testing import CliRunner
 
 from detector.component import PARAMETERS
@@ -40,7 +40,6 @@ CLOSED = "PROP rotor unknown: inspection acknowledged"
 Benches = Callable[..., Attacked]
 ACK, *REPEATED = (STATION.encode(MessageId.COMMAND_LONG, *US, MavCmd.USER_1, n, *[0.0] * 7) for n in (0, 1, 1, 1))
 REAL32, INT8 = 9, 2
-LOITER = 5
 CRAFT = replace(USUAL, rate_hz=200.0)  # of its link
 
 
@@ -80,8 +79,8 @@ def stage(bench: Bench) -> Stage:
     return bench.daemon.fleet.vehicles[1].session.diagnosis.stage
 
 
-def answers(bench: Bench, frames: list[object]) -> list[int]:
-    return [int(str(field(one, "result"))) for one in of(frames, MessageId.COMMAND_ACK)]  # type: ignore[arg-type]
+def answers(frames: list[Frame]) -> list[int]:
+    return [one.value("result") for one in of(frames, MessageId.COMMAND_ACK)]
 
 
 def test_a_landing_opens_an_inspection_that_stays_until_the_command_closes_it(benches: Benches, tmp_path: Path) -> None:
@@ -143,7 +142,7 @@ def test_a_ground_station_behind_acknowledges_and_a_stranger_on_an_unsigned_link
     received(bench.far)
     bench.far.send(ACK)
     bench.run(0.2)
-    assert answers(bench, received(bench.far)) == [MavResult.DENIED]  # type: ignore[arg-type]
+    assert answers(received(bench.far)) == [MavResult.DENIED]
     assert stage(bench) is Stage.INSPECT
     assert any("it may be forged" in line for line in bench.host.lines)
     yes, no = MavResult.ACCEPTED, MavResult.FAILED  # a new one finds nothing open
@@ -151,7 +150,7 @@ def test_a_ground_station_behind_acknowledges_and_a_stranger_on_an_unsigned_link
         received(bench.behind[0])
         bench.behind[0].send(sent)
         bench.run(0.2)
-        assert answers(bench, received(bench.behind[0])) == [result]  # type: ignore[arg-type]
+        assert answers(received(bench.behind[0])) == [result]
     assert stage(bench) is not Stage.INSPECT
     assert any("acknowledged by 255/190" in line for line in bench.host.lines)
 
@@ -252,7 +251,7 @@ def asked(bench: Bench, frame: bytes, *, behind: bool = True) -> list[Frame]:
 
 
 def values(frames: list[Frame]) -> dict[object, object]:
-    return {field(one, "param_id"): field(one, "param_value") for one in of(frames, MessageId.PARAM_VALUE)}
+    return {one.text("param_id"): one.value("param_value") for one in of(frames, MessageId.PARAM_VALUE)}
 
 
 def setting(name: str, value: float, kind: int = REAL32) -> bytes:
@@ -268,8 +267,8 @@ def on_the_ground(bench: Bench) -> None:
 def test_everybody_reads_the_parameters_and_pymavlink_agrees(bench: Bench, behind: bool) -> None:
     found = asked(bench, STATION.encode(MessageId.PARAM_REQUEST_LIST, *US), behind=behind)
     assert values(found) == {"PROP_SCALE": 1.0, "PROP_TEXTS": 30.0, "PROP_ACK": 0.0}
-    assert [field(one, "param_index") for one in of(found, MessageId.PARAM_VALUE)] == [0, 1, 2]
-    assert {field(one, "param_count") for one in of(found, MessageId.PARAM_VALUE)} == {len(PARAMETERS)}
+    assert [one.value("param_index") for one in of(found, MessageId.PARAM_VALUE)] == [0, 1, 2]
+    assert {one.value("param_count") for one in of(found, MessageId.PARAM_VALUE)} == {len(PARAMETERS)}
     for component, count in ((Component.ALL, 3), (Component.AUTOPILOT1, 0)):
         other = asked(bench, STATION.encode(MessageId.PARAM_REQUEST_LIST, 1, component), behind=behind)
         assert len(of(other, MessageId.PARAM_VALUE)) == count
@@ -358,18 +357,16 @@ def test_who_is_not_trusted_sets_nothing(bench: Bench, tmp_path: Path) -> None:
 )
 def test_its_version_is_told(bench: Bench, command: tuple[float, ...], msgid: int) -> None:
     found = asked(bench, STATION.encode(MessageId.COMMAND_LONG, *US, *command))
-    assert [field(one, "result") for one in of(found, MessageId.COMMAND_ACK)] == [MavResult.ACCEPTED]
+    assert answers(found) == [MavResult.ACCEPTED]
     [told] = [one for one in found if one.msgid == msgid]
     if msgid == MessageId.AUTOPILOT_VERSION:
-        number = field(told, "flight_sw_version")
-        assert isinstance(number, int)
+        number = told.value("flight_sw_version")
         assert ".".join(str(number >> shift & 0xFF) for shift in (24, 16, 8)) == __version__
     else:
-        assert [field(told, name) for name in ("vendor_name", "model_name", "software_version")] == [
-            *("mavdiag", "propeller fault detector", __version__)
-        ]
+        names = [told.text(name) for name in ("vendor_name", "model_name", "software_version")]
+        assert names == ["mavdiag", "propeller fault detector", __version__]
     nothing = asked(bench, STATION.encode(MessageId.COMMAND_LONG, *US, MavCmd.REQUEST_MESSAGE, 0, math.nan))
-    assert [field(one, "result") for one in of(nothing, MessageId.COMMAND_ACK)] == [MavResult.UNSUPPORTED]
+    assert answers(nothing) == [MavResult.UNSUPPORTED]
 
 
 def reacting(benches: Benches) -> Attacked:
@@ -387,7 +384,7 @@ def damaged(bench: Attacked, seconds: float) -> None:
 
 def commanded(bench: Attacked) -> list[Frame]:
     frames = [one for one in of(received(bench.far), MessageId.COMMAND_LONG) if (one.sysid, one.compid) == US]
-    return [frame for frame in frames if field(frame, "command") != MavCmd.SET_MESSAGE_INTERVAL]
+    return [frame for frame in frames if frame.value("command") != MavCmd.SET_MESSAGE_INTERVAL]
 
 
 def noted(tmp_path: Path) -> list[str]:
@@ -400,9 +397,8 @@ def test_a_fault_brings_one_command_and_every_step_is_in_the_journal(benches: Be
     damaged(bench, 7.0)
     [order] = commanded(bench)
     assert (order.sysid, order.compid) == US
-    assert [field(order, name) for name in ("target_system", "target_component", "command", "confirmation")] == [
-        *(1, Component.AUTOPILOT1, MavCmd.NAV_RETURN_TO_LAUNCH, 0)
-    ]
+    told = order.numbers("target_system", "target_component", "command", "confirmation")
+    assert told == (1, Component.AUTOPILOT1, MavCmd.NAV_RETURN_TO_LAUNCH, 0)
     accepted = (MavCmd.NAV_RETURN_TO_LAUNCH, MavResult.ACCEPTED, 0, 0, *US)
     bench.far.send(bench.vehicles[0].encoder.encode(MessageId.COMMAND_ACK, *accepted))
     bench.fly(12.0)
@@ -437,8 +433,7 @@ def test_it_is_called_off_by_a_link_behind_or_the_vehicles_mode(benches: Benches
     bench.fly(12.0)
     assert commanded(bench) == []
     assert [one for one in noted(tmp_path) if "announced -> over: called off" in one]
-    results = [field(one, "result") for one in of(received(bench.behind[0]), MessageId.COMMAND_ACK)]
-    assert results == [MavResult.ACCEPTED] * (how == "ack")
+    assert answers(received(bench.behind[0])) == [MavResult.ACCEPTED] * (how == "ack")
 
 
 def test_the_page_acknowledges_open_inspections_and_calls_nothing_off(benches: Benches, tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from mavdiag.baseline import Baseline, dump, parse
 from mavdiag.decision.alarm import Stage
 from mavdiag.judging import Verdict, judge
 from mavdiag.learning import LearnOptions, learn, rows_of
-from mavdiag.link.codec import UNKNOWN, Decoder, Encoder, Frame, field_index
+from mavdiag.link.codec import UNKNOWN, Decoder, Encoder, Frame
 from mavdiag.link.messages import MessageId
 from mavdiag.link.profiles import PROFILES
 from mavdiag.link.samples import SampleDecoder, SampleState
@@ -306,8 +306,7 @@ def telemetry_sent(profile: str) -> Telemetry:
 
 
 def values_of(frames: Sequence[Frame], msgid: int, *names: str) -> FloatArray:
-    places = [field_index(msgid, name) for name in names]
-    return np.array([[frame.fields[place] for place in places] for frame in frames if frame.msgid == msgid], float)
+    return np.array([[one.value(name) for name in names] for one in frames if one.msgid == msgid], float)
 
 
 def test_an_esc_tells_its_speed_in_its_turn_in_steps_and_again_what_was_lost() -> None:

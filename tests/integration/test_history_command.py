@@ -1,10 +1,12 @@
 """`mavdiag history` as a user meets it: on recordings of the emulator, and on a history of many flights."""
 
+import errno
 import json
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from datetime import timedelta
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -14,7 +16,7 @@ import numpy as np
 import pytest
 from made_history import DAY_NS, START_NS, records
 from made_session import baseline_for
-from made_vehicle import EPOCH_NS, Bench, MadeVehicle, received
+from made_vehicle import Bench, MadeVehicle, received
 from processes import record
 from typer.testing import CliRunner
 from web_page import wait_for
@@ -29,12 +31,11 @@ from mavdiag.cli import app
 from mavdiag.history.store import open_history
 from mavdiag.history.warn import Mark, MarkKind
 from mavdiag.judging import LogVerdict, Verdict
-from mavdiag.link.codec import field_index
 from mavdiag.link.messages import Autopilot, MavCmd, MessageId
 from mavdiag.printable import printable
 
 UDP_IN = "udpin:127.0.0.1:0"
-UID = "0011223344556677"
+UID, OTHER = "0011223344556677", "0011223344556688"
 
 
 @pytest.fixture
@@ -172,7 +173,7 @@ def test_every_flight_is_in_the_history_as_its_log_would_be(tmp_path: Path) -> N
     baseline = baseline_for()
     baseline = baseline.model_copy(update={"airframe": baseline.airframe.__class__(name="racer", scope="type")})
     database, folder, said = str(tmp_path / "history.sqlite"), tmp_path / "flights", list[str]()
-    flights = Flights(database, folder, EPOCH_NS, said.append)
+    flights = Flights(database, folder, said.append)
     bench = watching(baseline, flights, MadeVehicle(3), MadeVehicle(4))
     kept: dict[str, bytes] = {}
 
@@ -206,7 +207,7 @@ def test_every_flight_is_in_the_history_as_its_log_would_be(tmp_path: Path) -> N
 
 def test_a_flight_with_a_reboot_is_kept_and_a_vehicle_lost_in_flight_begins_no_other(tmp_path: Path) -> None:
     (tmp_path / "20240501T1200-mine.tlog").touch()
-    flights = Flights(str(tmp_path / "history.sqlite"), tmp_path, EPOCH_NS, print)
+    flights = Flights(str(tmp_path / "history.sqlite"), tmp_path, print)
     bench = watching(baseline_for(), flights, MadeVehicle(3))
     with patch.object(flights, "put") as put:
         flown(bench, 12.0)
@@ -225,49 +226,65 @@ def test_a_flight_with_a_reboot_is_kept_and_a_vehicle_lost_in_flight_begins_no_o
 def test_a_flight_that_cannot_be_added_is_told_and_added_by_the_next_start(tmp_path: Path) -> None:
     missing, folder, said = tmp_path / "missing" / "history.sqlite", tmp_path / "flights", list[str]()
     with patch("detector.hooks.PAUSE_S", 0.0):
-        flights = Flights(str(missing), folder, EPOCH_NS, said.append)
+        flights = Flights(str(missing), folder, said.append)
     flights._pause_s = 0.0
     bench = watching(baseline_for(), flights, MadeVehicle(3))
     with patch("detector.flights.subprocess.run", in_this_process):
         flown(bench, 12.0)
         flown(bench, 2.0, armed=False)
         wait_for(lambda: flights.lost, "it gives up")
+        bench.host.ahead = timedelta(seconds=-13)  # the wall clock is set back, to when this flight began
+        flown(bench, 12.0)
+        with (
+            patch("detector.flights.MIN_JUDGED_S", 60.0),
+            patch.object(Path, "unlink", side_effect=OSError(errno.EROFS, "read-only")),
+        ):
+            flown(bench, 2.0, armed=False)
+        flown(bench, 12.0)
     bench.close()
     flights.close()
-    assert len(list(folder.glob("3-*.tlog"))) == 1
+    assert (len(list(folder.glob("3-*.tlog"))), flights.lost) == (3, 3)
     assert "there is no folder" in said[0]
     missing.parent.mkdir()
-    flights = Flights(str(missing), folder, EPOCH_NS, said.append)
+    flights = Flights(str(missing), folder, said.append)
     bench = watching(baseline_for(), flights)
     wait_for(lambda: not list(folder.glob("3-*.tlog")), "the flight is added")
     bench.close()
     flights.close()
     with open_history(str(missing)) as opened:
-        assert len(opened.flights(*opened.names())) == 1
+        assert len(opened.flights(*opened.names())) == 3
 
 
-def test_a_vehicle_gets_the_baseline_that_is_named_by_its_uid(tmp_path: Path) -> None:
-    plain, own = baseline_for(), baseline_for(names=("rotor_trim",))
-    plain.save(tmp_path / "1.json")
-    own.save(tmp_path / f"{UID}.json")
+def test_a_vehicle_gets_the_baseline_that_is_named_by_its_uid_also_where_it_is_swapped(tmp_path: Path) -> None:
+    plain, own, other = (baseline_for(names=(name,)) for name in ("fsd", "rotor_trim", "vibration_level"))
+    for name, baseline in (("1", plain), (UID, own), (OTHER, other)):
+        baseline.save(tmp_path / f"{name}.json")
     found = baselines_in(tmp_path)
-    assert set(found) == {1, UID}
-    vehicles = [MadeVehicle(k, Autopilot.GENERIC) for k in (1, 2, 3)]
+    vehicles, uids = [MadeVehicle(k, Autopilot.GENERIC) for k in (1, 2, 3)], {2: UID}
     bench = Bench(Settings(connect=UDP_IN, baselines=tmp_path), baselines=found, vehicles=vehicles)
-    asked = dict.fromkeys((1, 2, 3), 0)
-    for _ in range(12):
-        bench.run(0.5)
-        for frame in received(bench.far):
-            if frame.msgid == MessageId.COMMAND_LONG:
-                system, command, msgid = (
-                    frame.fields[field_index(frame.msgid, name)] for name in ("target_system", "command", "param1")
-                )
-                if command == MavCmd.REQUEST_MESSAGE and msgid == MessageId.AUTOPILOT_VERSION:
-                    asked[int(system)] += 1
-                    if system == 2:
-                        told = (0, 0, 0, 0, 0, (0,) * 8, (0,) * 8, (0,) * 8, 0, 0, int(UID, 16))
-                        bench.far.send(vehicles[1].encoder.encode(MessageId.AUTOPILOT_VERSION, *told))
-    judged = {sysid: vehicle.session.baseline for sysid, vehicle in bench.daemon.fleet.vehicles.items()}
-    assert (judged, asked) == ({1: found[1], 2: found[UID]}, {1: 0, 2: 1, 3: 3})
+
+    def asked() -> dict[int, int]:
+        counts = dict.fromkeys((1, 2, 3), 0)
+        for _ in range(12):
+            bench.run(0.5)
+            for frame in received(bench.far):
+                if frame.msgid == MessageId.COMMAND_LONG and frame.value("command") == MavCmd.REQUEST_MESSAGE:
+                    system = frame.value("target_system")
+                    counts[system] += frame.value("param1") == MessageId.AUTOPILOT_VERSION
+                    if system in uids:
+                        told = (0, 0, 0, 0, 0, (0,) * 8, (0,) * 8, (0,) * 8, 0, 0, int(uids[system], 16))
+                        bench.far.send(vehicles[system - 1].encoder.encode(MessageId.AUTOPILOT_VERSION, *told))
+        return counts
+
+    def judged() -> dict[int, Baseline | None]:
+        return {sysid: vehicle.session.baseline for sysid, vehicle in bench.daemon.fleet.vehicles.items()}
+
+    assert (asked(), judged()) == ({1: 0, 2: 1, 3: 3}, {1: found[1], 2: found[UID]})
     assert any("vehicle 3: not watched" in line for line in bench.host.lines)
+    uids |= {2: OTHER, 3: UID}
+    vehicles[1:] = [MadeVehicle(k, Autopilot.GENERIC) for k in (2, 3)]
+    assert (asked(), judged()) == ({1: 0, 2: 3, 3: 3}, {1: found[1], 2: found[OTHER], 3: found[UID]})
+    uids[2] = f"{0x77:016x}"
+    vehicles[1] = MadeVehicle(2, Autopilot.GENERIC)
+    assert (asked(), judged()) == ({1: 0, 2: 3, 3: 0}, {1: found[1], 3: found[UID]})
     bench.close()

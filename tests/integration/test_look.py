@@ -31,7 +31,7 @@ from mavdiag.commands.inspect import inspect
 from mavdiag.commands.setup import BASELINE, CONFIG, HOME, config_text, service_script, setup
 from mavdiag.errors import InputError
 from mavdiag.learning.coaching import ROUNDS
-from mavdiag.link.codec import Argument, Decoder, Encoder, Frame, field_index
+from mavdiag.link.codec import Argument, Decoder, Encoder, Frame
 from mavdiag.link.datagrams import Chunk, Datagrams, as_columns
 from mavdiag.link.messages import MavCmd, MessageId
 from mavdiag.logs import read_log
@@ -211,8 +211,7 @@ def test_a_fresh_ardupilot_is_asked_for_streams_and_rotors_and_nothing_set(capsy
     assert any("ACCEPTED, DENIED" in one or "DENIED, ACCEPTED" in one for one in found["asked"])
     sent = {frame.msgid for frame in vehicle.heard}
     assert sent == {MessageId.HEARTBEAT, MessageId.COMMAND_LONG, MessageId.PARAM_REQUEST_READ}
-    place = field_index(MessageId.COMMAND_LONG, "command")
-    commands = {frame.fields[place] for frame in vehicle.heard if frame.msgid == MessageId.COMMAND_LONG}
+    commands = {frame.value("command") for frame in vehicle.heard if frame.msgid == MessageId.COMMAND_LONG}
     assert commands == {MavCmd.SET_MESSAGE_INTERVAL}
 
 
@@ -416,9 +415,7 @@ class Played(VirtualEndpoint):
 
 
 def parameter(frame: Frame) -> str:
-    if frame.msgid not in (MessageId.PARAM_VALUE, MessageId.PARAM_REQUEST_READ):
-        return ""
-    return str(frame.fields[field_index(frame.msgid, "param_id")])
+    return frame.text("param_id") if frame.msgid in (MessageId.PARAM_VALUE, MessageId.PARAM_REQUEST_READ) else ""
 
 
 def test_a_recorded_link_tells_what_it_is_and_that_it_ends(tmp_path: Path) -> None:

@@ -181,6 +181,18 @@ def test_l2_what_the_optional_streams_lack_is_told_and_hinders_nothing() -> None
     assert story.state.reason == "monitoring"
     story.give(Received(alive=True, imu=MessageId.SCALED_IMU2))
     assert story.texts[-1] == "PROP another gyro: SCALED_IMU2"
+    assert Note("the gyro is read from RAW_IMU again") in story.give(Received(alive=True))
+
+
+def test_a_wall_clock_that_is_set_late_changes_the_session_at_the_next_arming(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Baseline, "same_session", lambda _, started_ns: started_ns == 0)
+    story = watching()
+    before, story.session.unix_offset_ns = story.session.judge, 1
+    story.fly(3.0)
+    assert story.session.judge is before
+    story.fly(2.0, armed=False)
+    story.fly(6.0)
+    assert story.session.judge is not before
 
 
 def test_l9_learning_that_fails_keeps_its_data_and_goes_on_with_more() -> None:
@@ -195,6 +207,8 @@ def test_l9_learning_that_fails_keeps_its_data_and_goes_on_with_more() -> None:
     assert "PROP not learned, goes on: roll: the input is no.." in story.texts
     [job] = [effect for effect in story.fly(25.0) if isinstance(effect, Learn)]
     assert len(job.telemetry.need(Signal.BODY_RATE)) == pytest.approx(40 * 100, abs=10)
+    story.give(Received(alive=True, imu=MessageId.SCALED_IMU2))
+    assert story.state.flight_s == 0.0
 
 
 def weighing(felt_g: float, t_s: float) -> Received:
