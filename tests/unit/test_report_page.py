@@ -28,6 +28,7 @@ from mavdiag.identify import Method, fit
 from mavdiag.identify.estimate import validate
 from mavdiag.judging import LogVerdict, Verdict
 from mavdiag.look.figures import spectrum_of
+from mavdiag.monitors.base import FaultKind
 from mavdiag.report.campaign import read_campaign, roc_of
 from mavdiag.report.chart import Picture, Thinned, ticks_of
 from mavdiag.report.drawing import SIZE, airframe_svg
@@ -93,6 +94,13 @@ def test_the_page_says_the_verdict_its_evidence_and_where_it_comes_from() -> Non
     since_s = weak().verdict.since_s
     assert since_s is not None
     assert f"{since_s - weak().begin_s:.1f} s of the flight" in said
+
+
+@pytest.mark.parametrize("kind", FaultKind)
+def test_a_fault_without_a_rotor_has_its_page(kind: FaultKind) -> None:
+    verdict = replace(weak().verdict, kind=kind, rotor=None, rotors=())
+    page = check(flights_page([replace(weak(), verdict=verdict)], whole(), "baseline.json", CREATED))
+    assert f"A {kind} was found" in page.said
 
 
 @pytest.mark.parametrize(
