@@ -527,7 +527,7 @@ def test_damage_costs_only_the_records_it_hits(tmp_path: Path, seed: int) -> Non
         (tlog_record(START_US, Encoder(1, 1).encode(MessageId.ATTITUDE, 1)), "no autopilot's heartbeat"),
         (tlog_record(START_US, heartbeat(Encoder(255, 1), MavType.GCS, 8)), "no autopilot's heartbeat"),
         (b"".join(records(1, 9) + records(7, 9)), "vehicles 1, 7; choose one.*vehicle_stream"),
-        (b"".join(records(scale=16_384)), r"vehicle 1: its link profile is not clear.*give --profile"),  # B18
+        (b"".join(records(scale=16_384)), r"vehicle 1: its link profile is not clear.*look --profile"),  # B18
     ],
 )
 def test_what_cannot_be_read_says_why(tmp_path: Path, data: bytes, words: str) -> None:
