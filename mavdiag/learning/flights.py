@@ -150,9 +150,9 @@ def airborne(
         makers.append(partial(_rows, block.segment, block.dt_s, block.outputs, get))
     judged_s = judged * front.align.dt_s
     if judged_s < MIN_FLIGHT_S:
-        start = f"without the first {front.gate.trim_start_s:g} s after a take-off or start"
-        why = start if flown else "never armed, or no thrust"
-        raise InputError(f"{held.label.name}: only {judged_s:.1f} s of airborne flight ({why}), too short to learn from")
+        start = f" (without the first {front.gate.trim_start_s:g} s after a take-off or start)"
+        why = start * (front.gate.trim_start_s > 0) if flown else " (never armed, or no thrust)"
+        raise InputError(f"{held.label.name}: only {judged_s:.1f} s of airborne flight{why}, too short to learn from")
     return LearntFlight(held, Looks(makers, answers=answers), judged_s)
 
 
