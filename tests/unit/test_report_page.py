@@ -94,13 +94,9 @@ def test_the_page_says_the_verdict_its_evidence_and_where_it_comes_from() -> Non
     since_s = weak().verdict.since_s
     assert since_s is not None
     assert f"{since_s - weak().begin_s:.1f} s of the flight" in said
-
-
-@pytest.mark.parametrize("kind", FaultKind)
-def test_a_fault_without_a_rotor_has_its_page(kind: FaultKind) -> None:
-    verdict = replace(weak().verdict, kind=kind, rotor=None, rotors=())
-    page = check(flights_page([replace(weak(), verdict=verdict)], whole(), "baseline.json", CREATED))
-    assert f"A {kind} was found" in page.said
+    for kind in FaultKind:  # without a rotor
+        unnamed = replace(weak(), verdict=replace(weak().verdict, kind=kind, rotor=None, rotors=()))
+        assert f"A {kind} was found." in check(flights_page([unnamed], whole(), "baseline.json", CREATED)).said
 
 
 @pytest.mark.parametrize(
