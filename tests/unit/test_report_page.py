@@ -26,14 +26,14 @@ from mavdiag.face import rates
 from mavdiag.history.warn import overview_of
 from mavdiag.identify import Method, fit
 from mavdiag.identify.estimate import validate
-from mavdiag.judging import LogVerdict, Verdict
+from mavdiag.judging import LogVerdict, Verdict, judge_in_full
 from mavdiag.look.figures import spectrum_of
 from mavdiag.monitors.base import FaultKind
 from mavdiag.report.campaign import read_campaign, roc_of
 from mavdiag.report.chart import Picture, Thinned, ticks_of
 from mavdiag.report.drawing import SIZE, airframe_svg
 from mavdiag.report.page import FlightReport, campaign_page, flight_report, flights_page, history_page
-from mavdiag.report.pictures import sweep_of
+from mavdiag.report.pictures import monitor_picture, sweep_of
 from mavdiag.report.sketch import Sketch
 from mavdiag.rows.block import Block
 from mavdiag.telemetry import Axis, Log, Signal
@@ -113,6 +113,16 @@ def test_a_log_that_carries_less_says_what_is_not_drawn(log: Log, reason: str) -
     page = check(flights_page([found], whole(), "baseline.json", CREATED))
     assert [one.key for one in all_pictures(found) if not one.key.startswith("monitor:")] == list(SECTIONS)
     assert reason in page.said
+
+
+def test_every_one_of_twelve_rotors_has_its_line() -> None:
+    log = logged(flying(3000, 7, weak_rotor=2, rise=0.5))
+    sketch = Sketch(log, 120)
+    judge_in_full(log, whole(), show=sketch.take)
+    sketch.slots = {key: replace(one, rotors=3 * one.rotors) for key, one in sketch.slots.items()}
+    drawn = monitor_picture("rotor_trim", sketch, whole())
+    assert drawn is not None
+    assert "rotor 12" in drawn.svg
 
 
 def test_no_text_from_outside_is_markup() -> None:
