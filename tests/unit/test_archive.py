@@ -221,8 +221,7 @@ def test_each_log_is_answered_once_in_order_and_each_content_judged_once(
 
 def test_answers_are_kept_and_found_again_and_errors_are_not(tmp_path: Path) -> None:
     a, b = made(tmp_path, "a.tlog", "b.tlog")
-    bad = tmp_path / "bad.tlog"
-    bad.write_text("no log")
+    (bad := tmp_path / "bad.tlog").write_text("no log")
     copy = Path(shutil.copy(a, tmp_path / "copy.tlog"))
     cache, kept = open_cache(tmp_path / "cache", asked().scope), tmp_path / "cache" / "scan" / asked().scope
     logs = logs_named([a, bad, copy, b, tmp_path / "absent.tlog"]).logs
