@@ -277,7 +277,7 @@ def test_the_model_of_a_log_has_figures_with_standard_errors(mavdiag: Any, fligh
 
 
 def test_models_of_a_baseline_are_those_of_its_fsd_monitors(mavdiag: Any, flights: list[Path], tmp_path: Path) -> None:
-    baseline = tmp_path / "b.json"
+    baseline = tmp_path / "$x^$.json"  # no formula
     asked = ("--airframe", "qdrone2", "--name", "drone 1", "--monitors", "thesis", "--details")
     code, out, _ = mavdiag("identify", *flights, "-o", baseline, *asked)
     assert code == 0
