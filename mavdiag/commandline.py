@@ -131,10 +131,13 @@ def run(app: typer.Typer, name: str) -> NoReturn:
         where = "its path and its disk" if error.filename else "where the output goes, and its disk"
         code, told = ERROR, f"{_line(str(error))}; check {where}"
     except Exception as error:
-        if not isinstance(error.__cause__, KeyboardInterrupt):  # a fault of ours: 1 would be a verdict
+        below: BaseException | None = error
+        while below is not None and not isinstance(below, KeyboardInterrupt):
+            below = below.__cause__
+        if below is None:  # a fault of ours: 1 would be a verdict
             traceback.print_exc()
             raise SystemExit(ERROR) from error
-        code, told = INTERRUPTED, "stopped"  # compiled code makes a SystemError of it
+        code, told = INTERRUPTED, "stopped"  # compiled code makes a SystemError of it, or one of that
     try:
         if told:
             say(f"{name}: {told}", err=True)

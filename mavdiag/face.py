@@ -22,6 +22,7 @@ from mavdiag.judging import LogVerdict
 from mavdiag.learning import LearnOptions
 from mavdiag.learning.flights import front_for, rows_of
 from mavdiag.monitors.run_length import MIN_PIECE_S, training_pieces
+from mavdiag.printable import printable
 from mavdiag.telemetry import Axis, FloatArray, Log, Telemetry
 
 Source: TypeAlias = Log | str | Path  # a log, or where it is
@@ -160,7 +161,7 @@ def with_airframe(
         options = replace(options, airframe=value)
     if layout is not None:
         options = replace(options, airframe=with_layout(options.airframe, layout))
-    return options if name is None else replace(options, airframe=replace(options.airframe, name=name))
+    return options if name is None else replace(options, airframe=replace(options.airframe, name=printable(name)))
 
 
 def now() -> str:

@@ -8,7 +8,7 @@ from typer import Argument, Option
 from mavdiag.archive.paths import check_output
 from mavdiag.baseline import Baseline
 from mavdiag.commandline import say
-from mavdiag.commands.options import BaselineFile, Columns, Vehicle
+from mavdiag.commands.options import Columns, Vehicle
 from mavdiag.errors import UsageError
 from mavdiag.judging import judge_in_full
 from mavdiag.logs import read_log
@@ -25,7 +25,7 @@ def export(
     csv: Annotated[bool, Option("--csv", help="A table over time.")] = False,
     parquet: Annotated[bool, Option("--parquet", help="The same for data frames.")] = False,
     lua: Annotated[Path | None, Option(metavar="BASELINE", help="A baseline as an ArduPilot Lua applet.")] = None,
-    baseline: BaselineFile | None = None,
+    baseline: Annotated[Path | None, Option(help="Baseline made by `mavdiag identify`.")] = None,
     output: Annotated[Path | None, Option("-o", "--output", help="File to write.  [default: LOG.suffix]")] = None,
     vehicle: Vehicle = None,
     columns: Columns = None,

@@ -15,7 +15,7 @@ from typer import Argument, Option
 from mavdiag.archive.paths import check_output
 from mavdiag.as_json import json_line, plain
 from mavdiag.baseline import Baseline
-from mavdiag.commandline import application
+from mavdiag.commandline import application, say
 from mavdiag.commands import options as opt
 from mavdiag.commands.progress import working
 from mavdiag.errors import BaselineError, IdentificationError, InputError, UsageError
@@ -79,6 +79,7 @@ def show(
             path = plot if len(models) == 1 else plot.with_stem(f"{plot.stem}-{name}")
             shown = (_residual(model, flights[name]), _response(flights[name], window)) if flights else (None, None)
             draw_model(path, model, f"{file.name}, {name}", residual=shown[0], measured=shown[1])
+            say(f"written to {path}", err=True)
 
 
 @app.command()

@@ -39,7 +39,8 @@ class Shown:
         if elapsed_s > 0 and self._finished > 0:
             left = timedelta(seconds=round(elapsed_s * max(self._work / self._finished - 1.0, 0.0)))
             each_s = elapsed_s / self._done
-            words += f", {f'{each_s:.2g} s each' if each_s > 1 else f'{1 / each_s:.2g} a second'}, {left} left"
+            pace, unit = (each_s, "s each") if each_s > 1 else (1 / each_s, "a second")
+            words += f", {f'{pace:.2g}' if pace < 99.5 else f'{pace:.0f}'} {unit}, {left} left"
         if self._bar is not None and self._task is not None:
             self._bar.update(self._task, completed=self._finished, words=words)
         elif elapsed_s >= self._next_s and self._done < self._total:

@@ -147,5 +147,5 @@ def _lines(answer: Answer) -> str:
     for window in answer.record.windows:
         nearest = "" if window.ratio is None else f", {window.monitor} at {window.ratio:.2f} of its threshold"
         judged = f"judged {window.judged_s:.1f} s of {window.flown_s:.1f} s"
-        lines.append(f"  {window.from_s:g} to {window.to_s:g} s: {window.verdict}, {judged}{nearest}")
+        lines.append(f"  {window.from_s:.10g} to {window.to_s:.10g} s: {window.verdict}, {judged}{nearest}")
     return "\n".join(lines)

@@ -119,8 +119,9 @@ def headline(verdict: "LogVerdict") -> str:
     for change in verdict.changes:  # the type that was named last
         if kind is FaultKind.PROPELLER is change.kind and change.stage is Stage.FAULT and change.fault_type is not None:
             graded = _likeness(change)
-    other = kind is FaultKind.SENSOR and verdict.rotor is not None  # a rotor is named of no sensor fault
-    return f"A {kind}{where} was found{f', and a {FaultKind.PROPELLER} of {_rotors(verdict)}' * other}{graded}."
+    if kind is FaultKind.SENSOR and verdict.rotor is not None:  # a rotor is named of no sensor fault
+        graded = f", and a {FaultKind.PROPELLER} of {_rotors(verdict)}"
+    return f"A {kind}{where} was found{graded}."
 
 
 def rotors_of(verdict: "LogVerdict") -> tuple[int, ...]:

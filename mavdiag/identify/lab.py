@@ -33,6 +33,7 @@ from mavdiag.identify.arx import (
     to_segments,
 )
 from mavdiag.identify.estimate import ResidualReport
+from mavdiag.printable import printable
 from mavdiag.storage import replacing
 from mavdiag.telemetry import Axis, FloatArray
 
@@ -298,7 +299,7 @@ def draw_model(
 
     rows = 2 if residual is None else 3
     picture = figure.Figure(figsize=(9, 3 * rows), layout="constrained")
-    picture.suptitle(title)
+    picture.suptitle(printable(title), parse_math=False)
     axes = picture.subplots(rows, 2, squeeze=False)
     _bode((axes[0][0], axes[1][0]), model, measured)
     slowest = min(float(np.abs(model.poles[0])), 1 - 1e-6)

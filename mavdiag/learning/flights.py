@@ -136,9 +136,9 @@ def airborne(
     """
     shelf = shelf or Shelf(IN_MEMORY)
     answers: dict[Hashable, list[Any]] = {what: [] for what in glances}
-    held, makers, judged = hold(flight, shelf), list[Callable[[], Rows]](), 0
+    held, makers, judged, flown = hold(flight, shelf), list[Callable[[], Rows]](), 0, 0
     for rows in pieces_of(front, held.pieces()):
-        judged += int(np.count_nonzero(rows.rates.valid))
+        judged, flown = judged + int(np.count_nonzero(rows.rates.valid)), flown + len(rows.block)
         for what, glance in glances.items():
             answers[what] += glance(rows)
         block = rows.block
@@ -150,8 +150,9 @@ def airborne(
         makers.append(partial(_rows, block.segment, block.dt_s, block.outputs, get))
     judged_s = judged * front.align.dt_s
     if judged_s < MIN_FLIGHT_S:
-        never = "" if judged_s else " (never armed, or no thrust)"
-        raise InputError(f"{held.label.name}: only {judged_s:.1f} s of airborne flight{never}, too short to learn from")
+        start = f" (without the first {front.gate.trim_start_s:g} s after a take-off or start)"
+        why = start * (front.gate.trim_start_s > 0) if flown else " (never armed, or no thrust)"
+        raise InputError(f"{held.label.name}: only {judged_s:.1f} s of airborne flight{why}, too short to learn from")
     return LearntFlight(held, Looks(makers, answers=answers), judged_s)
 
 

@@ -211,7 +211,7 @@ def detect_profile(seen: Evidence, profiles: Iterable[Profile] = _ROWS) -> tuple
         why = f"RAW_IMU counts {seen.weight:.0f} at rest, {scale_of(seen.weight)}; only 1000 and 2048 are read"
     else:
         why = f"it sends {', '.join(imu) or 'no IMU message'} and its autopilot is not known"
-    return None, f"its link profile is not clear: {why}; give --profile"
+    return None, f"its link profile is not clear: {why}"
 
 
 def scale_doubt(profile: Profile, gravity_g: float) -> str:

@@ -491,7 +491,8 @@ class LinkDecoder:
             return []
         if profile is None:
             shown = frames_joined([frames_of([waiting.beat]), *waiting.pieces])
-            profile, waiting.reason = detect_profile(Evidence().take(shown))
+            profile, why = detect_profile(Evidence().take(shown))
+            waiting.reason = why and f"{why}; give --profile"
         if profile is None:
             return []
         self.vehicles[sysid] = VehicleStream(profile, waiting.kind[0])

@@ -83,7 +83,7 @@ def between(telemetry: Telemetry, from_s: float | None, to_s: float | None) -> T
     if not any(map(len, kept)):
         times = np.concatenate([np.empty(0), *(series.t_s for series in telemetry.series)])
         span = f"it goes from {times.min():.1f} to {times.max():.1f} s" if len(times) else "it is empty"
-        wanted = " ".join(f"{word} {t:g} s" for word, t in (("from", from_s), ("to", to_s)) if t is not None)
+        wanted = " ".join(f"{word} {t:.10g} s" for word, t in (("from", from_s), ("to", to_s)) if t is not None)
         raise InputError(f"no data {wanted} of the vehicle's clock; {span}")
     return Telemetry(tuple(kept))
 

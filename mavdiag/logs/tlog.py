@@ -171,7 +171,8 @@ def _flights(path: Path, profile: str | None, vehicle: int | None, *, several: b
         system = content.systems[sysid]
         known, why = detect_profile(system) if profile is None else (profile_named(profile), "")
         if known is None:
-            raise InputError(f"{path}: vehicle {sysid}: {why}")
+            remedy = "name it with `mavdiag look --profile` (in Python, read_log takes a profile)"
+            raise InputError(f"{path}: vehicle {sysid}: {why}; {remedy}")
         decoder = SampleDecoder(with_imu(known, system.counts))
         pieces = content.pieces if sysid == sysids[-1] else content.pieces.copy()
         parameters, state = parameters_in(system.parameters, known.autopilot), SampleState()

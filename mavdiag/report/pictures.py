@@ -8,7 +8,7 @@ import tomllib
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
-from itertools import pairwise
+from itertools import cycle, pairwise
 
 import numpy as np
 
@@ -178,7 +178,7 @@ def monitor_picture(name: str, sketch: Sketch, baseline: Baseline) -> Picture | 
         healthy = min(factor * usual.get(one.slot.key, 0.0), factor * one.slot.threshold)
         lines = [one.value.line("this flight", factor=factor)]
         if monitor.unit == RISE and one.rotors:
-            looks = enumerate(zip(one.rotors, LOOKS, strict=False), start=1)
+            looks = enumerate(zip(one.rotors, cycle(LOOKS), strict=False), start=1)
             lines = [rotor.line(f"rotor {number}", look, factor) for number, (rotor, look) in looks]
         limit = factor * one.slot.threshold
         least = None if len(lines) > 1 else 0.0

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from typing import Literal
 
 from rich.console import Console
 from rich.table import Table
@@ -15,8 +16,8 @@ from mavdiag.printable import printable
 
 STYLES = {"fault": "bold red", "suspected": "yellow", "error": "magenta", "not_judgeable": "cyan", "healthy": "green"}
 ORDER = tuple(STYLES)
-UNBOUND = 10_000  # characters: wider than any table
 WIDTHS = {"verdict": 9, "rotor": 7, "since (clock)": 7, "nearest monitor": 15}  # where names need the room
+WIDTHS |= {"log": 16, "what it shows": 24}  # at least; where a terminal is too narrow, columns are left out
 NUMBERS = ("rotor", "since (clock)", "ratio", "judged", "flight", "rate")  # columns that stand at the right
 
 
@@ -34,7 +35,7 @@ def verdict_table(rows: Sequence[Row], console: Console | None = None) -> None:
         told = (name, verdict.replace("_", " "), rotors, since, row["monitor"] or "", ratio, share)
         lines.append(_styled(told, STYLES[verdict]))
     counted = Counter(str(row["verdict"]) for row in rows)
-    words = [Text(f"{counted[name]} {name}", STYLES[name]) for name in ORDER if counted[name]]
+    words = [Text(f"{counted[name]} {name.replace('_', ' ')}", STYLES[name]) for name in ORDER if counted[name]]
     judged_s, flown_s = (sum(float(row[name] or 0) for row in rows) for name in ("judged_s", "flown_s"))
     totals = Text(f"{len(rows)} logs: ") + Text(", ").join(words)
     totals += Text(f"; judged {judged_s / 60:.1f} of {flown_s / 60:.1f} min")
@@ -65,14 +66,16 @@ def _styled(cells: Iterable[str | float | None], style: str) -> list[Text]:
 
 
 def _print(columns: Sequence[str], lines: Iterable[list[Text]], console: Console | None = None) -> None:
-    table, console = Table(box=None, pad_edge=False, header_style="bold"), console or Console()
-    for name in columns:
-        wide = name in ("log", "what it shows")
-        table.add_column(name, justify="right" if name in NUMBERS else "left", no_wrap=not wide, overflow="fold")
-    for line in lines:
-        table.add_row(*line)
-    if console.measure(table, options=console.options.update_width(UNBOUND)).maximum > console.width:
-        for column in table.columns:
-            column.width = WIDTHS.get(str(column.header))
-            column.no_wrap = column.no_wrap and column.width is None
+    table, console, rows = Table(box=None, pad_edge=False, header_style="bold"), console or Console(), list(lines)
+    widths = [max(len(name), *(row[k].cell_len for row in rows)) for k, name in enumerate(columns)]
+    shown, wide = list(range(len(columns))), [name in ("log", "what it shows") for name in columns]
+    if sum(widths) + 2 * (len(shown) - 1) > console.width:
+        widths = [min(width, WIDTHS.get(name, width)) for width, name in zip(widths, columns, strict=True)]
+    while sum(widths[k] + 2 for k in shown) - 2 > console.width and len(shown) > 2:
+        shown.remove(max(k for k in shown if not wide[k]))
+    for k in shown:
+        side: Literal["right", "left"] = "right" if columns[k] in NUMBERS else "left"
+        table.add_column(columns[k], justify=side, width=None if wide[k] else widths[k], overflow="fold")
+    for row in rows:
+        table.add_row(*(row[k] for k in shown))
     console.print(table)

@@ -56,8 +56,7 @@ def test_a_rerun_flies_only_what_is_missing(finished: tuple[Path, Results], tmp_
     path, results = finished
     lines = path.read_text().splitlines()
     assert len(lines) == 5
-    torn = tmp_path / "torn.jsonl"
-    torn.write_text("\n".join(lines[:3]) + "\n" + lines[3][:100])
+    (torn := tmp_path / "torn.jsonl").write_text("\n".join(lines[:3]) + "\n" + lines[3][:100])
     again = run(torn)
     assert (again.reused, again.others) == (3, 1)
     assert (again.learnt, again.flights) == (results.learnt, results.flights)
@@ -83,8 +82,7 @@ def test_b13_fresh_keeps_the_results_if_the_scheduler_cannot_be_used(
     program: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)  # as if it were not installed
-    path = tmp_path / "results.jsonl"
-    path.write_text("a result\n")
+    (path := tmp_path / "results.jsonl").write_text("a result\n")
     code, _, _ = program(SITL_PLANT, "campaign", "-o", path, "--fresh", "--scheduler", "tcp://h:1")
     assert (code, path.read_text()) == (2, "a result\n")
 

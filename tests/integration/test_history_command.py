@@ -197,8 +197,7 @@ def test_every_flight_is_in_the_history_as_its_log_would_be(tmp_path: Path) -> N
             records = opened.flights(f"racer {number}")
             assert len(records) == 2
             for record in records:
-                copy = tmp_path / "copy.tlog"
-                copy.write_bytes(kept[Path(record.log).name])
+                (copy := tmp_path / "copy.tlog").write_bytes(kept[Path(record.log).name])
                 whole = judge_file(str(copy), Question.of(baseline, Options(number, figures=True))).flight
                 assert whole is not None
                 assert (record.verdict, record.slots, record.content) == (whole.verdict, whole.slots, whole.content)

@@ -81,12 +81,10 @@ def test_a_folder_makes_one_page_and_a_bad_file_does_not_lose_the_others(tmp_pat
     folder = tmp_path / "logs"
     folder.mkdir()
     (folder / "notes.txt").write_text("no log")
-    torn = tmp_path / "<b>empty.bin"
-    torn.write_bytes(b"")
+    (torn := tmp_path / "<b>empty.bin").write_bytes(b"")
     (folder / ".hidden").write_text("not looked at")
     out = tmp_path / "report.html"
-    sound = tmp_path / "sound.tlog"
-    sound.write_bytes(content(1, 400))
+    (sound := tmp_path / "sound.tlog").write_bytes(content(1, 400))
     said = run(folder, torn, sound, "--baseline", baseline, "-o", out)
     page = page_at(out)
     assert "2 not readable" in page.said

@@ -39,6 +39,7 @@ from mavdiag.archive.scan import Answer, Cache, Options, Question, Record, diges
 from mavdiag.archive.tables import COLUMNS, rows_of, write_csv, write_parquet
 from mavdiag.archive.together import Reference, together
 from mavdiag.baseline import SourceLog
+from mavdiag.commands.scan import _lines
 from mavdiag.decision.alarm import Change
 from mavdiag.errors import InputError, UsageError
 from mavdiag.history.show import lines_of, overview_json
@@ -220,8 +221,7 @@ def test_each_log_is_answered_once_in_order_and_each_content_judged_once(
 
 def test_answers_are_kept_and_found_again_and_errors_are_not(tmp_path: Path) -> None:
     a, b = made(tmp_path, "a.tlog", "b.tlog")
-    bad = tmp_path / "bad.tlog"
-    bad.write_text("no log")
+    (bad := tmp_path / "bad.tlog").write_text("no log")
     copy = Path(shutil.copy(a, tmp_path / "copy.tlog"))
     cache, kept = open_cache(tmp_path / "cache", asked().scope), tmp_path / "cache" / "scan" / asked().scope
     logs = logs_named([a, bad, copy, b, tmp_path / "absent.tlog"]).logs
@@ -342,6 +342,9 @@ def test_a_row_says_what_the_verdict_says(answers: list[Answer]) -> None:
     assert {row["since_s"] for row in windows} == {answers[1].verdict.events[-1].t_s} or windows[0]["since_s"]
     assert [row["ratio"] for row in windows] == [one.ratio for one in answers[1].record.windows]
     assert (error["verdict"], error["reason"], error["sha256"]) == ("error", "no such file", None)
+    last = replace(answers[1].record.windows[-1], from_s=1.7e9 + 15, to_s=1.7e9 + 20)  # by the unix clock of a CSV
+    record = replace(answers[1].record, windows=(last,))
+    assert "  1700000015 to 1700000020 s: fault" in _lines(replace(answers[1], record=record))
 
 
 def test_csv_and_parquet_hold_the_same(answers: list[Answer], tmp_path: Path) -> None:

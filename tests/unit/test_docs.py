@@ -115,6 +115,7 @@ def test_a_command_of_a_block_is_taken_by_the_real_command_line(page: str, line:
     values, left, _ = command.make_parser(context).parse_args(list(rest))
     assert not left, f"{page}: {name} does not take {left}"
     for parameter in command.params:
+        assert parameter.help, f"{name}: {parameter.name} has no help"
         if parameter.name in values:
             parameter.process_value(context, values[parameter.name])
 

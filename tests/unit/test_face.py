@@ -119,10 +119,10 @@ def test_a_log_of_arrays_is_learnt_from_and_judged(tmp_path: Path) -> None:
         return md.Log.from_arrays(name, arrays, motor_order=False)
 
     logs = [of_arrays(log.name, log.telemetry) for log in healthy(3)]
-    baseline = md.learn(logs, FRAME, name="drone 7", created="2026-01-01T00:00:00+00:00")
+    baseline = md.learn(logs, FRAME, name="drone\udcff7", created="2026-01-01T00:00:00+00:00")
     baseline.save(tmp_path / "b.json")
     verdict = md.judge(of_arrays("weak", flying(3000, 5, weak_rotor=3, rise=0.2)), tmp_path / "b.json")
-    assert (verdict.verdict, baseline.airframe.name) == (md.Verdict.FAULT, "drone 7")
+    assert (verdict.verdict, baseline.airframe.name) == (md.Verdict.FAULT, r"drone\udcff7")
     assert str(verdict).startswith("weak: fault, rotor_trim 0.1")
     assert (verdict.events[0].rotor, len({log.sha256 for log in logs})) == (3, 3)
 

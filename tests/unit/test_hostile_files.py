@@ -109,8 +109,7 @@ TEXTS = {
 
 @pytest.mark.parametrize("name", TEXTS)
 def test_a_hostile_baseline(name: str, tmp_path: Path) -> None:
-    path = tmp_path / "b.json"
-    path.write_text(TEXTS[name])
+    (path := tmp_path / "b.json").write_text(TEXTS[name])
     assert len(refused("baseline", path)) < 500
 
 
@@ -132,8 +131,7 @@ def test_every_number_of_a_baseline_replaced(number: float, tmp_path: Path) -> N
         for step in place[:-1]:
             inner = inner[step]
         inner[place[-1]] = number
-        path = tmp_path / "b.json"
-        path.write_text(json.dumps(raw))
+        (path := tmp_path / "b.json").write_text(json.dumps(raw))
         with pytest.raises(MavdiagError) as caught:
             Baseline.load(path)
         assert "\n" not in str(caught.value), place

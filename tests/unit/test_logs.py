@@ -69,8 +69,7 @@ MADE = LogKind(
 
 
 def test_a_kind_of_log_is_added_by_one_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = tmp_path / "flight.made"
-    path.write_bytes(b"MADE" + np.arange(6.0).tobytes())
+    (path := tmp_path / "flight.made").write_bytes(b"MADE" + np.arange(6.0).tobytes())
     with pytest.raises(InputError, match="DataFlash, ULog, Crazyflie, DronePropA, tlog"):
         read_log(path)
     monkeypatch.setattr("mavdiag.logs.kinds", lambda: (MADE, *kinds()))
@@ -162,8 +161,7 @@ def test_a_counter_of_32_bits_that_begins_anew_goes_on(tmp_path: Path) -> None:
     ],
 )
 def test_a_wrong_map_names_its_field(text: str, words: str, tmp_path: Path) -> None:
-    path = tmp_path / "map.toml"
-    path.write_text(text)
+    (path := tmp_path / "map.toml").write_text(text)
     with pytest.raises(InputError, match=words) as caught:
         load_column_map(path)
     assert "\n" not in str(caught.value)
@@ -383,8 +381,7 @@ def wrapped(n: int = 600) -> tuple[bytes, list[bytes]]:
 def test_a_logger_that_wrapped_is_read_from_where_its_types_are_declared(tmp_path: Path) -> None:
     """The newest pages come first: their records are of types that are declared behind them."""
     head, records = wrapped()
-    path = tmp_path / "wrapped.bin"
-    path.write_bytes(b"".join(records[400:])[11:] + head + b"".join(records[:400]))
+    (path := tmp_path / "wrapped.bin").write_bytes(b"".join(records[400:])[11:] + head + b"".join(records[:400]))
     log = read_log(path)
     assert log.profile == "ardupilot-log"
     np.testing.assert_allclose(log["body_rate"].values[:, 0], [0.01 * k for k in range(400)], rtol=1e-6)
@@ -440,8 +437,7 @@ def test_modes_and_coordinates_are_those_of_every_era(tmp_path: Path) -> None:
     ],
 )
 def test_unusable_files_are_one_line(tmp_path: Path, reader: Callable[[Path], Log], content: bytes, words: str) -> None:
-    path = tmp_path / "a log"
-    path.write_bytes(content)
+    (path := tmp_path / "a log").write_bytes(content)
     with pytest.raises(InputError, match=words) as caught:
         reader(path)
     assert "a log" in str(caught.value)
@@ -527,7 +523,7 @@ def test_damage_costs_only_the_records_it_hits(tmp_path: Path, seed: int) -> Non
         (tlog_record(START_US, Encoder(1, 1).encode(MessageId.ATTITUDE, 1)), "no autopilot's heartbeat"),
         (tlog_record(START_US, heartbeat(Encoder(255, 1), MavType.GCS, 8)), "no autopilot's heartbeat"),
         (b"".join(records(1, 9) + records(7, 9)), "vehicles 1, 7; choose one.*vehicle_stream"),
-        (b"".join(records(scale=16_384)), r"vehicle 1: its link profile is not clear.*give --profile"),  # B18
+        (b"".join(records(scale=16_384)), r"vehicle 1: its link profile is not clear.*look --profile"),  # B18
     ],
 )
 def test_what_cannot_be_read_says_why(tmp_path: Path, data: bytes, words: str) -> None:

@@ -305,8 +305,7 @@ def test_momentum_and_angular_momentum_are_kept() -> None:
 
 def edited(tmp_path: Path, old: str, new: str) -> Path:
     assert SOURCE.count(old) == 1, old
-    file = tmp_path / "edited.toml"
-    file.write_text(SOURCE.replace(old, new), encoding="utf-8")
+    (file := tmp_path / "edited.toml").write_text(SOURCE.replace(old, new), encoding="utf-8")
     return file
 
 
@@ -345,8 +344,7 @@ def test_shipped_vehicles_can_be_had_by_name_or_file(tmp_path: Path) -> None:
     assert shipped_vehicles()[0] == "qdrone2"
     rotors = {"qdrone2": 4, "hexa-x": 6, "octo-x": 8, "qdrone2-recorded": 4, "quad-plus": 4, "hexa-plus": 6}
     assert {name: len(vehicle_from(name).rotors) for name in shipped_vehicles()} == rotors
-    file = tmp_path / "heavy.toml"
-    file.write_text('base = "hexa-x"\nname = "heavy"\n')
+    (file := tmp_path / "heavy.toml").write_text('base = "hexa-x"\nname = "heavy"\n')
     assert vehicle_from(str(file)) == replace(vehicle_from("hexa-x"), name="heavy")
     file.write_text('base = "qdrone2"\nname = "heavy"\n[body]\nmass_kg = 2.0\n')
     assert vehicle_from(str(file)) == replace(qdrone2(), name="heavy", body=replace(qdrone2().body, mass_kg=2.0))

@@ -26,13 +26,14 @@ from mavdiag.face import rates
 from mavdiag.history.warn import overview_of
 from mavdiag.identify import Method, fit
 from mavdiag.identify.estimate import validate
-from mavdiag.judging import LogVerdict, Verdict
+from mavdiag.judging import LogVerdict, Verdict, judge_in_full
 from mavdiag.look.figures import spectrum_of
+from mavdiag.monitors.base import FaultKind
 from mavdiag.report.campaign import read_campaign, roc_of
 from mavdiag.report.chart import Picture, Thinned, ticks_of
 from mavdiag.report.drawing import SIZE, airframe_svg
 from mavdiag.report.page import FlightReport, campaign_page, flight_report, flights_page, history_page
-from mavdiag.report.pictures import sweep_of
+from mavdiag.report.pictures import monitor_picture, sweep_of
 from mavdiag.report.sketch import Sketch
 from mavdiag.rows.block import Block
 from mavdiag.telemetry import Axis, Log, Signal
@@ -93,6 +94,9 @@ def test_the_page_says_the_verdict_its_evidence_and_where_it_comes_from() -> Non
     since_s = weak().verdict.since_s
     assert since_s is not None
     assert f"{since_s - weak().begin_s:.1f} s of the flight" in said
+    for kind in FaultKind:  # without a rotor
+        unnamed = replace(weak(), verdict=replace(weak().verdict, kind=kind, rotor=None, rotors=()))
+        assert f"A {kind} was found." in check(flights_page([unnamed], whole(), "baseline.json", CREATED)).said
 
 
 @pytest.mark.parametrize(
@@ -109,6 +113,14 @@ def test_a_log_that_carries_less_says_what_is_not_drawn(log: Log, reason: str) -
     page = check(flights_page([found], whole(), "baseline.json", CREATED))
     assert [one.key for one in all_pictures(found) if not one.key.startswith("monitor:")] == list(SECTIONS)
     assert reason in page.said
+
+
+def test_every_one_of_twelve_rotors_has_its_line() -> None:
+    log = logged(flying(3000, 7, weak_rotor=2, rise=0.5))
+    sketch = Sketch(log, 120)
+    judge_in_full(log, whole(), show=sketch.take)
+    sketch.slots = {key: replace(one, rotors=3 * one.rotors) for key, one in sketch.slots.items()}
+    assert "rotor 12" in str(monitor_picture("rotor_trim", sketch, whole()))
 
 
 def test_no_text_from_outside_is_markup() -> None:
@@ -151,16 +163,12 @@ def test_a_campaign_is_drawn_from_its_results(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "reason"),
     [
-        (b"", "holds no flight"),
-        (b"[1, 2]", "holds no flight"),
+        *((one, "holds no flight") for one in (b"", b"[1, 2]", b"\xff\xfe", b'{"record": "flight", "key": 1}')),
         (b'{"seed": 0, "detection": []}', "is a campaign's summary"),
-        (b"\xff\xfe", "holds no flight"),
-        (b'{"record": "flight", "key": 1}', "holds no flight"),
     ],
 )
 def test_what_is_no_campaign_says_what_to_name(tmp_path: Path, content: bytes, reason: str) -> None:
-    path = tmp_path / "c.jsonl"
-    path.write_bytes(content)
+    (path := tmp_path / "c.jsonl").write_bytes(content)
     with pytest.raises(InputError, match=rf"c\.jsonl: {reason}.*sitl-plant campaign -o"):
         read_campaign(path)
 
@@ -202,7 +210,7 @@ def test_ticks_are_few_round_and_within_the_range(low: float, span: float) -> No
 def test_the_spectrum_is_scipys_and_its_peak_is_the_rotors_speed() -> None:
     spectrum = spectrum_of(blocks())
     assert spectrum is not None
-    log = cracked()[0]
+    log, judged = cracked()
     speeds = log[Signal.ROTOR_SPEED]
     late = speeds.values[speeds.t_s > ONSET_S][:, ROTOR - 1] / (2 * np.pi)
     line = (spectrum.frequency_hz > 100) & (spectrum.frequency_hz < 199)
@@ -215,7 +223,6 @@ def test_the_spectrum_is_scipys_and_its_peak_is_the_rotors_speed() -> None:
     use = frequency > 5
     np.testing.assert_allclose(spectrum.frequency_hz, frequency, rtol=1e-3)
     np.testing.assert_allclose(spectrum.power[use], power[use], rtol=0.01)
-    judged = cracked()[1]
     assert judged.chain is not None
     sketch = Sketch(log, 300)
     sketch.take(judged.chain, judged.pieces)
@@ -283,8 +290,8 @@ def test_no_text_breaks_out(title: str, label: str) -> None:
     layout = layout_named("x")
     hostile = (f"{label}</text><script>1</script>", '"><script>')
     text = airframe_svg(layout, {1: hostile}, title=f"<{title}")
-    root = ElementTree.fromstring(text)
-    assert {one.tag.removeprefix(SVG) for one in root.iter()} == {
-        one.tag.removeprefix(SVG) for one in ElementTree.fromstring(airframe_svg(layout)).iter()
-    }
+    hostile_tags, tags = (
+        {one.tag for one in ElementTree.fromstring(svg).iter()} for svg in (text, airframe_svg(layout))
+    )
+    assert hostile_tags == tags
     assert "style=" not in airframe_svg(layout)

@@ -164,6 +164,10 @@ def test_every_rotor_that_was_named_stands_in_the_table() -> None:
     lines = console.export_text().splitlines()
     assert len(lines) == 2 + 2 * 3 + 1
     assert all(len(line) <= 80 for line in lines)
+    for width in (30, 40, 60):  # columns are left out, never the log and its verdict
+        console = Console(width=width, file=io.StringIO(), record=True)
+        verdict_table([row], console)
+        assert "a.bin not" in " ".join(console.export_text().split())
 
 
 def _line(kind: str, number: int, **content: object) -> str:
@@ -244,20 +248,23 @@ def test_a_line_now_and_then_in_a_pipe(clock: list[float], capsys: pytest.Captur
     assert capsys.readouterr() == ("", "".join(f"{line}\n" for line in lines))
 
 
-def test_a_bar_is_one_line_makes_room_and_goes_away(clock: list[float], monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("seconds", "words"), [(5.0, "5 s each, 0:00:25"), (500.0, "500 s each, 0:41:40")])
+def test_a_bar_is_one_line_makes_room_and_goes_away(
+    clock: list[float], monkeypatch: pytest.MonkeyPatch, seconds: float, words: str
+) -> None:
     terminal = Terminal()
     for stream in ("stderr", "stdout"):  # here: pytest takes stderr for itself before the test
         monkeypatch.setattr(sys, stream, terminal)
     monkeypatch.setenv("COLUMNS", "80")
     monkeypatch.setenv("TERM", "xterm")
     with shown("judged", [1.0, 1.0, 4.0]) as progress:
-        clock[0] = 5.0
+        clock[0] = seconds
         progress.add(1.0)
         progress.say("an answer")
     before, after = terminal.getvalue().split("an answer\n")
     assert before.endswith(ERASED)
     assert "━" in before
-    assert "1 of 3, 5 s each, 0:00:25 left" in after
+    assert f"1 of 3, {words} left" in after
     assert after.count("\n") == 1  # before it is erased
     assert after.endswith(ERASED)
 
@@ -285,8 +292,10 @@ def test_what_daemon_commands_and_baselines_say(capsys: pytest.CaptureFixture[st
 
     @app.command()
     def stopped() -> None:
-        """Ctrl-C within compiled code."""
-        raise SystemError from KeyboardInterrupt()
+        """Ctrl-C within compiled code, which loads other."""
+        within = SystemError()
+        within.__cause__ = KeyboardInterrupt()
+        raise SystemError from within
 
     with pytest.raises(SystemExit, match="130"), patch("sys.argv", [EVIL, "stopped"]):
         commandline.run(app, EVIL)

@@ -342,8 +342,7 @@ def test_no_header_leaves_the_rules_by_an_exception(text: str, where: str) -> No
     ],
 )
 def test_a_token_file_keeps_the_rules_of_a_key_file(tmp_path: Path, content: str, mode: int, words: str) -> None:
-    path = tmp_path / "token"
-    path.write_text(content)
+    (path := tmp_path / "token").write_text(content)
     path.chmod(mode)
     with pytest.raises(UsageError) as error:
         read_token(path)
