@@ -56,6 +56,8 @@ SECTIONS: dict[str, tuple[str, ...]] = {
     "other_kinds": (
         "python benchmarks/other_kinds.py",
         "python benchmarks/other_kinds.py --profile px4 --seed 700",
+        "python benchmarks/other_kinds.py --seed 2700 --flights 1 --wind 5",
+        "python benchmarks/other_kinds.py --profile px4 --seed 2700 --flights 1 --turbulence 10",
     ),
     "hostile": (
         "python benchmarks/hostile_values.py --shared FOLDER/.. --seed 1",
