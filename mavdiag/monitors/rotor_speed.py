@@ -282,9 +282,10 @@ class RotorSpeed(Monitor[RotorSpeedSpec]):
             raise InputError("the speeds are made up of the outputs, as a simulator does")
         seen = [usable for flight in ticks if len(usable := _usable(flight, n))]
         means = np.array([_mean(flight) for flight in seen])
-        apart = [one - one.mean(axis=0) for one in seen]
-        known = held_law(*_columns(means - means.mean(axis=0)), LAW, np.diag(LAW_SD**2), APART, 1)
-        law, P = held_law(*_columns(np.concatenate(apart)), *known, FLOOR, 1, SCATTER)
+        days, apart = means - means.mean(axis=0), np.concatenate([one - one.mean(axis=0) for one in seen])
+        (y, *x), (dy, *dx) = apart.reshape(-1, OF_ROTOR).T, days.reshape(-1, OF_ROTOR).T
+        known = held_law(dy, np.column_stack(dx), LAW, np.diag(LAW_SD**2), APART, 1)
+        law, P = held_law(y, np.column_stack(x), *known, FLOOR, 1, SCATTER)
         still = replace(still, law=_pair(law), errors=(_pair(P[0]), _pair(P[1])))
         learnt = _at(still, means.mean(axis=0))
         begun = (cls(replace(learnt, spread=1.0)).begin(context.dt_s) for _ in ticks)
@@ -332,20 +333,10 @@ def _at(spec: RotorSpeedSpec, means: FloatArray) -> RotorSpeedSpec:
     return replace(spec, mean=tuple(means[:, 0].tolist()), about=tuple(map(_pair, means[:, 1:])))
 
 
-def _weights(ticks: FloatArray) -> FloatArray:
-    """How much usable ticks of each rotor count, (k, n, 1)."""
-    return np.asarray(1.0 / (1.0 + np.square(ticks[:, :, COLUMNS:] / SWIFT)))
-
-
 def _mean(ticks: FloatArray) -> FloatArray:
     """Weighted mean y and x of each rotor, (n, OF_ROTOR)."""
-    weights = _weights(ticks)
+    weights = 1.0 / (1.0 + np.square(ticks[:, :, COLUMNS:] / SWIFT))
     return np.asarray((weights * ticks).sum(axis=0) / weights.sum(axis=0))
-
-
-def _columns(ticks: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """All y, and x."""
-    return ticks[:, :, 0].ravel(), ticks[:, :, 1:].reshape(-1, COLUMNS)
 
 
 def _pair(values: FloatArray) -> Pair:
