@@ -9,15 +9,19 @@ u: its output 0..1, V: the battery's voltage, k_q w^2: the drag, e: share of the
 to 0.25 of small motors in hover (estimate). A blade that lost a piece has less drag, so its rotor turns faster for its
 command; one that is bent or fouled has more. The voltage is common to all rotors and cancels:
 
-    y_j = ln w_j - mean_k ln w_k,    v_j = ln u_j - mean_k ln u_k,    x_j = (v_j, dv_j/dt),
+    y_j = ln w_j - s_j c r/w - mean_k(..),    v_j = ln u_j - mean_k ln u_k,    x_j = (v_j, dv_j/dt),
     y_j = a_j + (x_j - x0_j)' b
 
 A rotor lags behind its command, and what an ESC tells behind the rotor: the mean of v(t - lag) over a tick is that of v
 less the lag times what v rises by from end to end of the tick, over its length. b is common to all rotors and fitted to
-ticks by least squares with a prior; P is its covariance. Manoeuvres repeat, so what is no larger than FLOOR may go with
-one of x in all ticks (a battery that sags with the thrust, the other lags): flights in which x varies tell what wind
-makes of it, and calm ones leave it open. An ESC tells the speed against the frame, whose turns are 2 e/(1 + e)/w of a
-rotor's speed, 0.0003 at 1 rad/s: left out, for it cannot be told from a lag in turns to and fro.
+ticks by least squares with a prior, and to the means of flights, between which other days lie; P is its covariance.
+Manoeuvres repeat, so what is no larger than SCATTER may go with one of x in all ticks: flights in which x varies tell
+what wind makes of it, and calm ones leave it open. Where a command changes swiftly the law is poor, so the means, a and
+x0 too, are weighted by 1/(1 + (dv/dt/SWIFT)^2).
+
+An ESC tells the speed against the frame: at a yaw rate r more by s_j c r, s_j = 1 of rotors that turn against it. c is
+2 e/(1 + e) of a motor by its voltage, 0.3, and 1 of one by its torque. In the emulator it is 1.1 for another reason:
+the nose is measured every fourth step, and the outputs are sampled in step with that.
 """
 
 import math
@@ -44,21 +48,22 @@ from mavdiag.units import RPM
 
 WINDOW_S = 5.0  # our choice, as of the trim
 TICK_S = 0.5  # a value twice a second; longer than a rotor's lag and an ESC's delay (our choice)
-# Share of the ticks of a window that count, those whose command changes least, for rotors and ESCs lag behind it; but
-# for the least and the largest of them: a wild ESC frame spoils one (our choice).
-CALM = 0.6
+SCATTER = 1e-3  # of the speed, as a tick scatters; what manoeuvres repeat is no larger (our choice)
+SWIFT = 0.01  # 1/s: a lag that is 0.1 s off makes SCATTER of so fast a change, whose tick counts half (our choice)
+TURN = 0.65  # c, between what the voltage and what the torque makes of it (our choice)
 MADE_UP_RAD_S = 6000 * RPM  # that PX4 tells of full output in simulation (SimulatorMavlink: ESC_STATUS)
 MADE_UP = 0.01  # so near to it no motor is (our choice)
 # What is held of b before any flight, and its standard deviation. 1/(1 + e) is 0.8 to 0.87, an ESC's dead band adds to
 # it; a lag is 0.05 s of a rotor and up to 0.1 s of an ESC at 10 Hz (estimates).
 LAW, LAW_SD = np.array([0.85, 0.0]), np.array([0.15, 0.1])
-FLOOR = 2e-4  # of the speed: least spread that is believed, a seventh of a step of 14 rpm at 10,000 (our choice)
+APART = 7e-4  # of the speed: by which flights of other days differ, and least spread (sd; `thresholds/priors.json`)
+FLOOR = 2e-4  # of the speed: least scatter that is believed, a seventh of a step of 14 rpm at 10,000 (our choice)
 COLUMNS = 2  # of x
-# Places in the parameters: rotors, rows of a tick, row period, ticks of a window, spread, b, P; of each rotor a, x0.
+# Places in the parameters: rotors, rows of a tick, row period, ticks of a window, spread, b, P; of each rotor a, x0, s.
 # And in the memory: rows of the tick, known ones, usable ticks in a row, ticks so far; sums of the tick: of each rotor
-# u, u at its first end and at its last, w; of the window's ticks each rotor's residual, and how far its x is from x0.
+# u, u at its first end and at its last, w; r; of the window's ticks each rotor's residual, and how far x is from x0.
 ROTORS, ROWS, DT, WINDOW, SPREAD, LAWS, ERRORS, EACH = 0, 1, 2, 3, 4, 5, 7, 11
-OF_ROTOR = 1 + COLUMNS
+OF_ROTOR, EACH_OF = 1 + COLUMNS, 2 + COLUMNS
 ROW, KNOWN, RUN, TICKS, SUMS = range(5)
 END = 10  # so many times as long as an end of a tick is the whole (our choice)
 TOLD = 3  # of a tick behind y and x of each rotor: mean ln w/u, whether it is usable, its number in the segment
@@ -97,7 +102,7 @@ def _take_row(par: Floats, mem: Floats, x: Floats, i: int) -> bool:
     n = int(par[ROTORS])
     if mem[ROW] == 0.0:
         mem[KNOWN] = 0.0
-        for j in range(4 * n):
+        for j in range(4 * n + 1):
             mem[SUMS + j] = 0.0
     known = x[col.VALID, i] > 0.5 and x.shape[0] >= col.SPEEDS + n
     for j in range(n if known else 0):
@@ -113,6 +118,7 @@ def _take_row(par: Floats, mem: Floats, x: Floats, i: int) -> bool:
             if mem[ROW] >= par[ROWS] - end:
                 mem[SUMS + 2 * n + j] += x[col.OUTPUTS + j, i]
             mem[SUMS + 3 * n + j] += x[col.SPEEDS + j, i]
+        mem[SUMS + 4 * n] += x[col.RATE + 2, i]
     mem[ROW] += 1.0
     if mem[ROW] < par[ROWS]:
         return False
@@ -123,12 +129,15 @@ def _take_row(par: Floats, mem: Floats, x: Floats, i: int) -> bool:
 @jit
 def _find(par: Floats, mem: Floats, out: Floats) -> None:
     """y and x of each rotor from the sums of a whole tick, (n, OF_ROTOR); then mean ln w/u."""
-    n, rows = int(par[ROTORS]), int(par[ROWS])
+    n, rows, speed = int(par[ROTORS]), int(par[ROWS]), 0.0
     span_s = (rows - _end(par)) * par[DT]  # between the middles of the ends
     for j in range(n):
         to = OF_ROTOR * j
         out[to], out[to + 1] = math.log(mem[SUMS + 3 * n + j] / rows), math.log(mem[SUMS + j] / rows)
         out[to + 2] = math.log(mem[SUMS + 2 * n + j] / mem[SUMS + n + j]) / span_s
+        speed += mem[SUMS + 3 * n + j] / n
+    for j in range(n):
+        out[OF_ROTOR * j] -= TURN * par[EACH + EACH_OF * j + OF_ROTOR] * mem[SUMS + 4 * n] / speed
     for p in range(OF_ROTOR):  # against the others
         mean = 0.0
         for j in range(n):
@@ -140,25 +149,17 @@ def _find(par: Floats, mem: Floats, out: Floats) -> None:
 
 
 @jit
-def _sort(keys: Floats, values: Floats, count: int) -> None:
-    """Sort so many values by their keys."""
-    for i in range(1, count):
-        key, value, j = keys[i], values[i], i
-        while j > 0 and keys[j - 1] > key:
-            keys[j], values[j] = keys[j - 1], values[j - 1]
-            j -= 1
-        keys[j], values[j] = key, value
-
-
-@jit
-def _calm(values: Floats, speeds: Floats) -> float:
-    """Mean of those whose commands change least, but for the least and the largest; both are sorted on the way."""
-    count, found = max(3, int(CALM * len(values))), 0.0
-    _sort(speeds, values, len(values))
-    _sort(values, values, count)
-    for i in range(1, count - 1):
-        found += values[i]
-    return found / (count - 2)
+def _weighed(values: Floats, weights: Floats) -> tuple[float, float]:
+    """Weighted mean of values but for the least and the largest, as a wild ESC frame spoils one; and its variance."""
+    least, most, mean, total, square = values.argmin(), values.argmax(), 0.0, 0.0, 0.0
+    for again in range(2):
+        for i in range(len(values)):
+            if i not in (least, most):
+                if again == 0:
+                    mean, total = mean + weights[i] * values[i], total + weights[i]
+                else:
+                    square += weights[i] * (values[i] - mean / total) ** 2
+    return mean / total, square / total**2
 
 
 @jit
@@ -167,25 +168,24 @@ def _take_tick(
 ) -> None:
     """Put a tick into the window, where usable ones in a row count, and judge that."""
     n, window, best = int(par[ROTORS]), int(par[WINDOW]), 0.0
-    place, rests, speeds, away = int(mem[TICKS]) % window, scratch[0], scratch[1], scratch[2]
+    place, weights, away = int(mem[TICKS]) % window, scratch[0], scratch[1]
     for j in range(n):
-        own, of, error = EACH + OF_ROTOR * j, SUMS + 4 * n + OF_ROTOR * window * j, 0.0
+        own, of, error, total = EACH + EACH_OF * j, SUMS + 4 * n + 1 + OF_ROTOR * window * j, 0.0, 0.0
         mem[of + place] = tick[OF_ROTOR * j] - par[own]
         for p in range(COLUMNS):
             to, away[p] = of + (1 + p) * window, 0.0
             mem[to + place] = tick[OF_ROTOR * j + 1 + p] - par[own + 1 + p]
             mem[of + place] -= par[LAWS + p] * mem[to + place]
-            for i in range(window):
-                away[p] += mem[to + i] / window
+        for i in range(window):
+            weights[i] = 1.0 / (1.0 + ((mem[of + COLUMNS * window + i] + par[own + COLUMNS]) / SWIFT) ** 2)
+            total += weights[i]
+            for p in range(COLUMNS):
+                away[p] += weights[i] * mem[of + (1 + p) * window + i]
         for p in range(COLUMNS):
             for q in range(COLUMNS):
-                error += away[p] * par[ERRORS + COLUMNS * p + q] * away[q]
-        mean, square = 0.0, 0.0
-        for i in range(window):
-            rests[i], speeds[i] = mem[of + i], abs(mem[of + COLUMNS * window + i] + par[own + COLUMNS])
-            mean, square = mean + rests[i] / window, square + rests[i] ** 2 / window
-        error += (square - mean * mean) / window
-        found = _calm(rests, speeds) * par[SPREAD] / math.sqrt(par[SPREAD] ** 2 + max(error, 0.0)) * n / (n - 1.0)
+                error += away[p] * par[ERRORS + COLUMNS * p + q] * away[q] / total**2
+        found, variance = _weighed(mem[of : of + window], weights)
+        found *= par[SPREAD] / math.sqrt(par[SPREAD] ** 2 + max(error, 0.0) + variance) * n / (n - 1.0)
         rotors[k, j] = abs(found)
         best = found if abs(found) > abs(best) else best
     out[col.VALUE, k], out[col.LEVEL, k] = abs(best), best
@@ -198,7 +198,7 @@ def _take_tick(
 def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats, rotors: Floats, at: Ints) -> int:
     """The rotor that is farthest from its speed at the end of each tick."""
     n, k = int(par[ROTORS]), 0
-    tick, scratch = np.zeros(OF_ROTOR * n + TOLD), np.empty((3, int(par[WINDOW])))
+    tick, scratch = np.zeros(OF_ROTOR * n + TOLD), np.empty((2, int(par[WINDOW])))
     for i in range(first, x.shape[1]):
         if not _take_row(par, mem, x, i):
             continue
@@ -218,7 +218,7 @@ def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats
 @cached
 def _again(par: Floats, mem: Floats, ticks: Floats) -> Floats:
     """Distances of all rotors in the full windows of ticks that `run` has traced, (k, n)."""
-    n, found, scratch = int(par[ROTORS]), 0, np.empty((3, int(par[WINDOW])))
+    n, found, scratch = int(par[ROTORS]), 0, np.empty((2, int(par[WINDOW])))
     out, rotors = np.empty((col.LEVEL + 1, 1)), np.empty((len(ticks) + 1, n))
     for tick in ticks:
         if tick[OF_ROTOR * n + 2] == 0.0:  # a segment begins
@@ -231,10 +231,10 @@ def _again(par: Floats, mem: Floats, ticks: Floats) -> Floats:
 class RotorSpeed(Monitor[RotorSpeedSpec]):
     """Statistic: how far ONE rotor's speed is from what its command gives, against the others [share of its speed].
 
-        d_j = y_j - a_j - (x_j - x0_j)' b of each 0.5 s,    D_j = mean of the calm ones of 5 s,    n: rotors
-        statistic = max_j n/(n - 1) |D_j| sigma/sqrt(sigma^2 + (x_j - x0_j)' P (x_j - x0_j) + var(d_j)/ticks)
+        d_j = y_j - a_j - (x_j - x0_j)' b of each 0.5 s,    D_j = weighted mean over 5 s,    n: rotors
+        statistic = max_j n/(n - 1) |D_j| sigma/sqrt(sigma^2 + (x_j - x0_j)' P (x_j - x0_j) + var(D_j))
 
-    sigma: the healthy rms. A window whose ticks scatter, as where rotors lag behind a turn, says less.
+    sigma: the healthy rms, no less than APART. A window whose ticks scatter, or have little weight, says less.
     If rotor j alone turns a share d faster, the mean has d/n of it: so n/(n - 1) D_j = d, and the others are d/(n - 1).
     `level` has the sign, above 0 for less drag. `rotors` are the sizes of all of them. Lowest rate: 10 Hz of the gyro,
     and each ESC once in 1.5 s.
@@ -281,19 +281,20 @@ class RotorSpeed(Monitor[RotorSpeedSpec]):
         if np.median(np.abs(np.exp(told[:, -TOLD]) / MADE_UP_RAD_S - 1.0)) < MADE_UP:
             raise InputError("the speeds are made up of the outputs, as a simulator does")
         seen = [usable for flight in ticks if len(usable := _usable(flight, n))]
-        means = [flight.mean(axis=0) for flight in seen]
-        apart = np.concatenate([flight - mean for flight, mean in zip(seen, means, strict=True)])
-        y, x = apart[:, :, 0].ravel(), apart[:, :, 1:].reshape(-1, COLUMNS)
-        law, P = held_law(y, x, LAW, np.diag(LAW_SD**2), FLOOR, 1, FLOOR)
+        means = np.array([_mean(flight) for flight in seen])
+        days, apart = means - means.mean(axis=0), np.concatenate([one - one.mean(axis=0) for one in seen])
+        (y, *x), (dy, *dx) = apart.reshape(-1, OF_ROTOR).T, days.reshape(-1, OF_ROTOR).T
+        known = held_law(dy, np.column_stack(dx), LAW, np.diag(LAW_SD**2), APART, 1)
+        law, P = held_law(y, np.column_stack(x), *known, FLOOR, 1, SCATTER)
         still = replace(still, law=_pair(law), errors=(_pair(P[0]), _pair(P[1])))
-        learnt = _at(still, np.mean(means, axis=0))
+        learnt = _at(still, means.mean(axis=0))
         begun = (cls(replace(learnt, spread=1.0)).begin(context.dt_s) for _ in ticks)
         found = np.concatenate(
             [_again(one.par, one.mem, flight).ravel() for one, flight in zip(begun, ticks, strict=True)]
         )
         if not len(found):
             raise IdentificationError(f"no unbroken {WINDOW_S:g} s of flight with rotor speeds; fly longer")
-        return (replace(learnt, spread=float(math.hypot(np.sqrt(np.mean(np.square(found))), FLOOR))),)
+        return (replace(learnt, spread=float(math.hypot(np.sqrt(np.mean(np.square(found))), APART))),)
 
     def renewed(self, flights: Flights, context: LearnContext) -> tuple[RotorSpeedSpec, float]:
         """With the speeds of the new propellers; how they follow the command, and vary, stays."""
@@ -310,7 +311,7 @@ class RotorSpeed(Monitor[RotorSpeedSpec]):
     def _means(self, flights: Flights) -> FloatArray:
         """Mean y and x of the flights that show them, (k, n, OF_ROTOR). Raises IdentificationError if none does."""
         ticks = (_usable(_ticks(self, one), self.rotors) for one in flights)
-        means = [one.mean(axis=0) for one in ticks if len(one)]
+        means = [_mean(one) for one in ticks if len(one)]
         if not means:
             raise IdentificationError("no flight with the outputs and speeds of all rotors; fly longer")
         return np.array(means)
@@ -323,13 +324,19 @@ class RotorSpeed(Monitor[RotorSpeedSpec]):
         """No row yet."""
         spec, n, window = self.spec, self.rotors, max(3, round(self.spec.window_s / (_tick(dt_s) * dt_s)))
         head = [n, _tick(dt_s), dt_s, window, spec.spread, *spec.law, *np.ravel(spec.errors)]
-        each = np.column_stack((spec.mean, np.array(spec.about)))
-        return Begin(np.array([*head, *each.ravel()]), np.zeros(SUMS + 4 * n + OF_ROTOR * window * n))
+        each = np.column_stack((spec.mean, np.array(spec.about), np.sign(spec.layout.unmixing[2])))
+        return Begin(np.array([*head, *each.ravel()]), np.zeros(SUMS + 4 * n + 1 + OF_ROTOR * window * n))
 
 
 def _at(spec: RotorSpeedSpec, means: FloatArray) -> RotorSpeedSpec:
     """The fit with these mean y and x of each rotor, (n, OF_ROTOR)."""
     return replace(spec, mean=tuple(means[:, 0].tolist()), about=tuple(map(_pair, means[:, 1:])))
+
+
+def _mean(ticks: FloatArray) -> FloatArray:
+    """Weighted mean y and x of each rotor, (n, OF_ROTOR)."""
+    weights = 1.0 / (1.0 + np.square(ticks[:, :, COLUMNS:] / SWIFT))
+    return np.asarray((weights * ticks).sum(axis=0) / weights.sum(axis=0))
 
 
 def _pair(values: FloatArray) -> Pair:

@@ -62,7 +62,7 @@ def test_the_farther_commands_are_from_those_learnt_the_less_a_speed_says(health
     ratio = np.array([1.0, 1.02, 0.99, 1.05])
     values = [last(healthy, rows_of(7, ratio, 1500, wander=wander))[0] for wander in (0.002, 0.05, 0.2)]
     assert values == sorted(values, reverse=True)
-    assert values[2] < 0.5 * values[0]
+    assert values[2] < 0.6 * values[0]
 
 
 def test_the_voltage_and_what_all_rotors_share_cancel(healthy: RotorSpeedSpec) -> None:
@@ -160,14 +160,28 @@ def test_a_law_from_short_pulses_holds_in_a_steady_trim_that_was_not_learnt() ->
     def flight(seed: int, trim: float) -> list[Rows]:
         rng, n = np.random.default_rng(seed), 6000
         pulses = np.convolve(rng.standard_normal(n) * (rng.random(n) < 0.01), np.hanning(100), "same")
-        outputs = 0.4 * (1 + np.outer(0.02 * pulses + trim, X.mixing[:, 1]) + 0.002 * rng.standard_normal((n, 4)))
+        outputs = 0.4 * (1 + np.outer(0.05 * pulses + trim, X.mixing[:, 1]) + 0.002 * rng.standard_normal((n, 4)))
         behind = np.concatenate((outputs[:8], outputs[:-8]))
         return [example_rows(n, actuator=outputs, rotor_speed=1500.0 * behind)]
 
     (spec,) = RotorSpeed.fit([flight(seed, 0.0) for seed in range(3)], CONTEXT)
-    assert abs(spec.law[0] - 1.0) < 2 * np.sqrt(spec.errors[0][0]) < 0.05
+    assert abs(spec.law[0] - 1.0) < 2 * np.sqrt(spec.errors[0][0]) < 0.07
     assert spec.law[1] == pytest.approx(-0.08, abs=0.01)
-    assert max([found.value[found.valid].max() for found in RotorSpeed(spec).over(flight(9, 0.1))]) < 0.001
+    assert max([found.value[found.valid].max() for found in RotorSpeed(spec).over(flight(9, 0.1))]) < 0.0015
+
+
+def test_days_tell_what_commands_make_of_speeds_and_a_turn_of_the_frame_is_taken_off() -> None:
+    """Three hovers turn to one side, their centres of mass differ; ESCs tell the speed against the frame."""
+
+    def flight(seed: int, trim: float, rate: float, ratio: float = 1.0) -> list[Rows]:
+        outputs = 0.5 * (1 + trim * X.mixing[:, 0] + 0.002 * np.random.default_rng(seed).standard_normal((3000, 4)))
+        told = 1500.0 * outputs * [ratio, 1.0, 1.0, 1.0] + 0.65 * rate * np.sign(X.unmixing[2])
+        return [example_rows(3000, actuator=outputs, rotor_speed=told, rate=np.full((3000, 3), [0.0, 0.0, rate]))]
+
+    (spec,) = RotorSpeed.fit([flight(seed, 0.01 * seed, 1.0) for seed in range(3)], CONTEXT)
+    assert abs(spec.law[0] - 1.0) < 2 * np.sqrt(spec.errors[0][0]) < 0.1
+    assert last(spec, flight(9, 0.0, -1.0))[0] < 5e-4  # 0.65/750 to each side
+    assert last(spec, flight(9, 0.03, -1.0, 1.01))[0] == pytest.approx(0.01, rel=0.25)
 
 
 def test_calm_flights_leave_open_what_a_large_command_makes_of_a_speed() -> None:
@@ -175,7 +189,7 @@ def test_calm_flights_leave_open_what_a_large_command_makes_of_a_speed() -> None
     own = np.ones(4)
     unsure = [
         np.sqrt(RotorSpeed.fit([rows_of(seed, own, wander=wander) for seed in range(3)], CONTEXT)[0].errors[0][0])
-        for wander in (0.0002, 0.005, 0.05)
+        for wander in (0.0002, 0.002, 0.02)
     ]
     told = np.power(unsure, -2.0) - LAW_SD[0] ** -2.0  # beside the prior
     assert told[2] == pytest.approx(100 * told[1], rel=0.1)
