@@ -113,6 +113,13 @@ def test_healthy_flights_of_another_kind_than_was_learnt_are_no_faults(learnt: s
     assert found.verdict != Verdict.FAULT, found.reason
 
 
+@pytest.mark.parametrize("air", [{"wind_m_s": 5.0}, {"turbulence_m_s": 10.0}])
+def test_wind_after_calm_hovers_is_neither_a_fault_nor_a_suspicion(air: dict[str, float]) -> None:
+    base = taught(range(1, 4), 40.0, trajectory="hover", nose="fixed")
+    found = judge(healthy_flights([11], 40.0, trajectory="hover", **air)[0], base)
+    assert found.verdict is Verdict.HEALTHY, found.reason
+
+
 def test_the_estimated_unbalance_is_that_of_the_table_and_placed() -> None:
     monitor = Unbalance(*Unbalance.fit([fly(11), fly(12)], LearnContext(QDRONE2, None, 0.001, 101)))
     found = [(one.level[one.valid], one.rotors[one.valid]) for one in monitor.over(fly(51, "F3/SV1", 2, seconds=6.0))]

@@ -234,6 +234,14 @@ def test_flights_that_begin_in_motion_do_not_bias_it() -> None:
     assert np.all(found < 1.4), found
 
 
+@pytest.mark.parametrize("method", ["sriv", "ls"])
+def test_what_is_followed_tells_the_gain_that_noise_does_not_and_is_in_no_figure(method: str) -> None:
+    u, y = 0.02 * np.random.default_rng(5).standard_normal((2, 3000))
+    model = fit(u, y, dt=0.01, method=method, followed=np.full(500, 0.2))
+    assert model.dc_gain == pytest.approx(1.0, abs=0.05) != fit(u, y, dt=0.01, method=method).dc_gain
+    assert (model.samples, model.r2t < 0.1) == (3000, True)
+
+
 @pytest.mark.parametrize("order", [(1, 1, 1), (2, 5, 0), (3, 2, 1), (2, 1, 4)])
 def test_every_order_recovers_its_own_model(order: tuple[int, int, int]) -> None:
     na, nb, nk = order
