@@ -108,7 +108,9 @@ def test_the_fit_is_least_squares_with_the_variance_law_of_its_errors() -> None:
         y, u = rows.block.rate[t, k] - spec.mean[k], rows.rates.u[:, k]
         n = len(y)
         phi = np.stack([*(-y[4 - i : n - i] for i in range(1, 5)), *(u[4 - i : n - i] for i in range(1, 5))], axis=1)
-        theta = np.linalg.lstsq(phi, y[4:], rcond=None)[0]
+        steady = 0.2 * np.sqrt(5.0 / DT_S) * (k < 2)  # of roll and pitch, followed for 5 s
+        told = np.vstack((phi, steady * np.repeat([-1.0, 1.0], 4)))
+        theta = np.linalg.lstsq(told, np.append(y[4:], steady), rcond=None)[0]
         np.testing.assert_allclose([*spec.a[k], *spec.b[k]], theta, rtol=1e-6, atol=1e-9)
         alpha = 1 - np.exp(-DT_S / 0.35)
         law = variance_law((y[4:] - phi @ theta) ** 2, lfilter([alpha], [1, alpha - 1], u**2)[4:])

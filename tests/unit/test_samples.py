@@ -200,7 +200,7 @@ def test_b18_profile_by_what_is_sent(
     profile, reason = detect_profile(Evidence().take(frames_of(frames)))
     assert profile is (None if name is None else PROFILES[name])
     assert words in reason
-    assert (reason == "") if name else reason.endswith("give --profile")
+    assert bool(reason) != bool(name)
 
 
 def test_b19_one_imu_message_is_chosen_and_never_two() -> None:
