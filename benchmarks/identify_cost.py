@@ -50,7 +50,7 @@ def recorded(folder: Path, name: str, flights: int, seconds: float, seed: int) -
 
 def identified(tree: Path, files: Sequence[Path], output: Path) -> Cost:
     """`mavdiag identify` of a tree over the files."""
-    options = ["--airframe", "qdrone2", "-o", str(output)]
+    options = ["--airframe", "qdrone2", "--accept", "-o", str(output)]  # half an hour empties the battery
     command = [sys.executable, "-m", "mavdiag", "identify", *map(str, files), *options]
     with subprocess.Popen(
         command, cwd=tree, env={**os.environ, "PYTHONPATH": str(tree)}, stdout=subprocess.DEVNULL
