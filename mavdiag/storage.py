@@ -224,7 +224,7 @@ class Column:
 
     def add(self, rows: NDArray[Any]) -> None:
         """Put rows behind those that came. Raises UsageError if the disk is full."""
-        self._pieces.append(rows)
+        self._pieces.append(rows.copy())  # of a longer array no more than this
         self._size += rows.nbytes
         if self._size >= (WRITE_BYTES if self._file else COLUMN_BYTES):
             self._file = self._file or tempfile.TemporaryFile(buffering=0)  # noqa: SIM115  # until it is mapped
