@@ -218,35 +218,33 @@ class Column:
     """
 
     def __init__(self, like: NDArray[Any]) -> None:
-        self._none, self._size = like[:0].copy(), 0
-        self._pieces: list[NDArray[Any]] = []  # what is not in the file
+        self._rows, self._count = np.empty((0, *like.shape[1:]), like.dtype), 0
         self._file: BinaryIO | None = None
 
     def add(self, rows: NDArray[Any]) -> None:
         """Put rows behind those that came. Raises UsageError if the disk is full."""
-        self._pieces.append(rows.copy())  # of a longer array no more than this
-        self._size += rows.nbytes
-        if self._size >= (WRITE_BYTES if self._file else COLUMN_BYTES):
-            self._file = self._file or tempfile.TemporaryFile(buffering=0)  # noqa: SIM115  # until it is mapped
-            self._store(self._file)
+        first, self._count = self._count, self._count + len(rows)
+        if self._file is None:
+            if self._count > len(self._rows):  # room for as much again
+                before, room = self._rows[:first], max(self._count, 2 * first)
+                self._rows = np.empty((room, *before.shape[1:]), before.dtype)
+                self._rows[:first] = before
+            self._rows[first : self._count] = rows
+            if self._rows[: self._count].nbytes < COLUMN_BYTES:
+                return
+            self._file, rows = tempfile.TemporaryFile(buffering=0), self._rows[: self._count]  # noqa: SIM115  # until it is mapped
+            self._rows = rows[:0].copy()
+        with enough_room(rows.nbytes):
+            _write(self._file, _bytes_of(rows))
 
     def whole(self) -> NDArray[Any]:
         """All rows, read-only if they lie in a file."""
         if self._file is None:
-            return self._together()
+            self._rows.resize((self._count, *self._rows.shape[1:]), refcheck=False)
+            return self._rows
         with self._file as file:
-            self._store(file)
             mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-        return np.frombuffer(mapped, self._none.dtype).reshape(-1, *self._none.shape[1:])
-
-    def _together(self) -> NDArray[Any]:
-        pieces, self._pieces, self._size = self._pieces, [], 0
-        return np.concatenate((self._none, *pieces))
-
-    def _store(self, file: BinaryIO) -> None:
-        rows = self._together()
-        with enough_room(rows.nbytes):
-            _write(file, _bytes_of(rows))
+        return np.ndarray((self._count, *self._rows.shape[1:]), self._rows.dtype, mapped)
 
 
 def forget(*arrays: NDArray[Any]) -> None:
