@@ -224,7 +224,7 @@ class Column:
 
     def add(self, rows: NDArray[Any]) -> None:
         """Put rows behind those that came. Raises UsageError if the disk is full."""
-        self._pieces.append(rows)
+        self._pieces.append(rows.copy())  # of a longer array no more than this
         self._size += rows.nbytes
         if self._size >= (WRITE_BYTES if self._file else COLUMN_BYTES):
             self._file = self._file or tempfile.TemporaryFile(buffering=0)  # noqa: SIM115  # until it is mapped
@@ -237,7 +237,8 @@ class Column:
         with self._file as file:
             self._store(file)
             mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-        return np.frombuffer(mapped, self._none.dtype).reshape(-1, *self._none.shape[1:])
+        rows = np.ndarray(len(mapped) // self._none.itemsize, self._none.dtype, mapped)
+        return rows.reshape(-1, *self._none.shape[1:])
 
     def _together(self) -> NDArray[Any]:
         pieces, self._pieces, self._size = self._pieces, [], 0
