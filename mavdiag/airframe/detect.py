@@ -20,6 +20,7 @@ from mavdiag.airframe.layout import LAYOUTS, RotorLayout
 from mavdiag.airframe.trim import MIN_OUTPUT
 from mavdiag.rows.block import Block
 from mavdiag.telemetry import FloatArray
+from mavdiag.units import NS_PER_S
 
 SPAN_S = 0.1  # changes over this time: longer than output periods and motor lag, shorter than trims (our choice)
 ROW_S = SPAN_S / 16  # between rows that are looked at, at least: outputs come at 50 Hz and more (our choice)
@@ -163,9 +164,10 @@ def moving_outputs(blocks: Iterable[Block]) -> list[int]:
 
 def _thinned(block: Block) -> Block:
     step = int(ROW_S / block.dt_s)
-    if step < 2:
+    if step < 2 or not len(block):
         return block
-    return Block(block.segment, step * block.dt_s, block.t_ns[::step], block.x[:, ::step].copy(), block.outputs)
+    rows = slice(-round(int(block.t_ns[0]) / (NS_PER_S * block.dt_s)) % step, None, step)  # however blocks are cut
+    return Block(block.segment, step * block.dt_s, block.t_ns[rows], block.x[:, rows].copy(), block.outputs)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
