@@ -188,6 +188,9 @@ def test_another_gyro_is_read_while_the_first_has_stopped(imu: MessageId, more: 
     assert (decoder.vehicles[1].profile.imu, decoder.vehicles[1].sensor) == (imu, sum(more))
     assert run(decoder, sender.chunks(200)) == 0  # the two are never mixed
     assert run(decoder, sender.chunks(200)) == pytest.approx(100, abs=12)
+    run(decoder, sender.chunks(600, imu, *more))
+    for _ in range(200):  # both come now, in turn
+        run(decoder, [*sender.chunks(1), *sender.chunks(1, imu, *more)])
     assert (decoder.vehicles[1].profile.imu, decoder.vehicles[1].sensor) == (MessageId.RAW_IMU, 0)
 
 
