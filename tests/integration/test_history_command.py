@@ -41,8 +41,7 @@ UID, OTHER = "0011223344556677", "0011223344556688"
 @pytest.fixture
 def wearing(tmp_path: Path) -> Path:
     """One airframe that wears and one that does not."""
-    path = tmp_path / "fleet.sqlite"
-    rng = np.random.default_rng(1)
+    path, rng = tmp_path / "fleet.sqlite", np.random.default_rng(1)
     worn = 0.4 + 0.6 * np.arange(1, 141) / 150 + 0.03 * rng.standard_normal(140)
     calm = 0.4 + 0.03 * rng.standard_normal(60)
     with open_history(str(path), create=True) as history:

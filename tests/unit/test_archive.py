@@ -124,8 +124,7 @@ def test_every_option_the_baseline_and_the_code_make_another_question(monkeypatc
     options = [Options(), Options(vehicle=1), Options(from_s=1.0), Options(to_s=1.0), Options(windows_s=1.0)]
     options += [Options(figures=True), Options(flown_ns=1)]
     scopes = [asked(option).scope for option in options]
-    other = archive_baseline().model_copy(update={"digest": "sha256:other"})
-    scopes.append(Question.of(other, Options()).scope)
+    scopes.append(Question.of(archive_baseline().model_copy(update={"digest": "sha256:other"}), Options()).scope)
     monkeypatch.setattr("mavdiag.archive.scan.judging_version", lambda: "other")
     scopes.append(asked().scope)
     assert (len(set(scopes)), asked().scope) == (len(scopes), asked().scope)
@@ -256,8 +255,7 @@ def test_only_what_may_be_a_copy_is_read_to_tell_copies(tmp_path: Path, monkeypa
     monkeypatch.setattr(module, "judge_file", judge)
     logs = logs_named([tmp_path / name for name in contents]).logs
     assert [answer.verdict.reason for answer in scan(logs, asked(), 1, cache)] == ["a", "b", "a", "d", "e"]
-    assert read == ["a", "b", "c"]
-    assert [answer.fresh for answer in scan(logs, asked(), 1, cache)] == [False] * 5
+    assert (read, [answer.fresh for answer in scan(logs, asked(), 1, cache)]) == (["a", "b", "c"], [False] * 5)
     assert read[3:] == list(contents)
 
 

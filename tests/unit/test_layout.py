@@ -252,8 +252,7 @@ def test_a_baseline_keeps_the_outputs_and_names_the_weak_rotor(parameters: dict[
     assert (baseline.airframe.layout.name, baseline.airframe.outputs) == ("x", (5, 6, 7, 8))
     assert baseline.airframe.layout_basis.startswith(basis)
     assert f"rotor layout x, its rotors on outputs 5, 6, 7, 8 ({basis}" in str(baseline)
-    weak = Log("weak", "", "px4", shifted(flying(3000, 7, weak_rotor=3, rise=0.3)))
-    verdict = judge(weak, baseline)
+    verdict = judge(Log("weak", "", "px4", shifted(flying(3000, 7, weak_rotor=3, rise=0.3))), baseline)
     assert verdict.verdict is Verdict.FAULT
     assert "rotor 3" in verdict.reason
     healthy = judge(Log("healthy", "", "px4", shifted(flying(3000, 8))), baseline)

@@ -225,8 +225,7 @@ def test_a_message_is_added_by_one_row() -> None:
     row = Source(MessageId.ATTITUDE_QUATERNION, (Part(Signal.ATTITUDE, "q1", Form.ANGLES),), ("time_boot_ms", MS_32))
     frame = Vehicle().frame(MessageId.ATTITUDE_QUATERNION, 5, *quaternion(0.1, 0.2, 0.3).tolist())
     decoder = SampleDecoder(PROFILES["qdrone2"], table=(*SOURCES, row))
-    telemetry = decoder.step(SampleState(), [frame])
-    np.testing.assert_allclose(telemetry["attitude"].values, [[0.1, 0.2, 0.3]], atol=1e-6)
+    np.testing.assert_allclose(decoder.step(SampleState(), [frame])["attitude"].values, [[0.1, 0.2, 0.3]], atol=1e-6)
 
 
 def test_an_autopilot_is_added_by_one_row() -> None:
@@ -378,8 +377,7 @@ def test_turns_that_pass_in_silence_are_counted(silent_s: int) -> None:
 
 def test_a_message_that_changes_to_unix_time_is_laid_over_its_old_clock() -> None:
     true = np.arange(400) * 10 * MS
-    raw = np.where(true < 2 * S, 5_000_000, EPOCH_US) + true // 1000
-    time, (t_ns,) = taken((US_64, raw, 77 * S + true))
+    time, (t_ns,) = taken((US_64, np.where(true < 2 * S, 5_000_000, EPOCH_US) + true // 1000, 77 * S + true))
     assert (t_ns[:200].tolist(), t_ns[200], time.reboots) == ((5 * S + true[:200]).tolist(), NEVER, 0)
 
 
