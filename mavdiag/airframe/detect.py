@@ -272,14 +272,14 @@ def _solved(products: FloatArray, overlap: int, driver: str) -> _Fit | None:
     products, moved = products[enough], moved[enough]
     ww, wx, xx = products[:, :-4, :-4], products[:, :-4, -4:-1], products[:, -4:-1, -4:-1]
     total, n = products[:, -4:-1, -1], products[:, -1:, -1]
-    scale = np.sqrt(np.maximum(_diagonals(xx) / n - np.square(total / n), 0.0))
+    scale = np.sqrt(np.maximum(np.einsum("lii->li", xx) / n - np.square(total / n), 0.0))
     scale = np.where(scale > 0, scale, 1.0)
     wx, xx = wx / scale[:, None], xx / scale[:, None] / scale[:, :, None]
     # [ X'X ] effects = [ X'W ]; drivers that move together by nature leave the smallest effects
     inverse = np.linalg.pinv(xx, rcond=SINGULAR, hermitian=True)
     effects = inverse @ wx.mT
     explained = (effects * (xx @ effects)).sum(axis=1)
-    left = np.maximum(_diagonals(ww) - 2 * (effects * wx.mT).sum(axis=1) + explained, 0.0)
+    left = np.maximum(np.einsum("lii->li", ww) - 2 * (effects * wx.mT).sum(axis=1) + explained, 0.0)
     shares = 1 - left.sum(axis=1) / moved
     best = int(shares.argmax())
     effects, explained, left, rows = effects[best], explained[best], left[best], float(n[best, 0])
@@ -287,10 +287,6 @@ def _solved(products: FloatArray, overlap: int, driver: str) -> _Fit | None:
     F = np.asarray(np.square(effects).mean(axis=1) / np.maximum(noise, TINY), dtype=np.float64)
     followed = np.asarray(explained / 3 / np.maximum(overlap * left / rows, TINY), dtype=np.float64)
     return _Fit(driver, effects, F, followed, float(shares[best]), np.asarray(xx[best] / rows))
-
-
-def _diagonals(tables: FloatArray) -> FloatArray:
-    return np.diagonal(tables, axis1=1, axis2=2)
 
 
 def _found(fit: _Fit | None, columns: Sequence[int], known: Sequence[RotorLayout]) -> LayoutFinding:
