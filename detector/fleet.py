@@ -152,10 +152,8 @@ class Fleet:
             if self._uids.get(sysid) != uid and (self._knows is None or self._knows(sysid)):
                 self._uids[sysid] = uid
                 self._begin(sysid, stream, now)
-            elif sysid not in self.vehicles and self._knows:
-                self.link.received(sysid)  # what it tells of itself is in the stream then
-            elif sysid not in self.vehicles:
-                self.link.leave(sysid)
+            elif sysid not in self.vehicles:  # what it tells of itself is in the stream once it is received
+                (self.link.received if self._knows else self.link.leave)(sysid)
 
     def _begin(self, sysid: int, stream: VehicleStream, now: Instant) -> None:
         spec, old = self._spec_of(sysid, stream.profile), self.vehicles.get(sysid)

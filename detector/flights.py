@@ -80,6 +80,8 @@ class Flights(Courier):
                     begun.path, begun.file = path, path.open("xb", buffering=0)
             elif flight is not None and not flies:
                 self._landed(sysid, vehicle)
+        for sysid in self._open.keys() - vehicles.keys():  # they were swapped for others, which are not watched
+            self._landed(sysid, None)
         if self._open:
             self._append(passed)
 
@@ -115,6 +117,7 @@ class Flights(Courier):
             return
         flown_s = sum(judge.flight_s for judge in flight.judges) - flight.before_s
         flew = vehicle is None or vehicle.session.judge is None or flown_s >= MIN_JUDGED_S
+        flew = flew and flight.file.tell() > 0  # a full disk had no room for it
         with self._telling(flight.path):
             flight.file.close()
             if not flew:

@@ -271,7 +271,7 @@ def check_files(settings: Settings) -> None:
     for number, path in enumerate(own):
         if path is not None:
             check_apart(path, *own[number + 1 :], *known)
-    if settings.save is not None:
+    if settings.save is not None and not settings.save.is_file():  # one that is there is used
         check_writable(settings.save)
     for option, path, kind in (("journal", own[0], rb'\s*\{"kind"'), ("record", own[1], rb".{8}[\xfd\xfe]")):
         if path is not None and not begins(path, kind):

@@ -136,8 +136,7 @@ Rows = dict[str, FloatArray]
 
 def flight(duration_s: float, seed: int, *, weak_rotor: int = 0, rise: float = 0.0, line: float = 1.0) -> Rows:
     """The three matrices, (rows, n). rise: of the command of `weak_rotor` (from 1); line: size of the rotors' shake."""
-    rng = np.random.default_rng(seed)
-    n = round(duration_s / DT_S)
+    rng, n = np.random.default_rng(seed), round(duration_s / DT_S)
     t = DT_S * np.arange(n, dtype=np.float64)
     state = states(t)
     up = state >= 4

@@ -50,8 +50,7 @@ class Page(HTMLParser):
 
 def check(text: str) -> Page:
     """A page that stands alone and can be read: everything that must hold of every page."""
-    page = Page(text)
-    scripts = re.findall(r"<script>(.*?)</script>", text, re.DOTALL)
+    page, scripts = Page(text), re.findall(r"<script>(.*?)</script>", text, re.DOTALL)
     assert page.tags.count("script") == len(scripts) == 1
     digest = base64.b64encode(hashlib.sha256(scripts[0].encode()).digest()).decode()
     assert f"script-src 'sha256-{digest}'" in text

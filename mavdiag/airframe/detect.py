@@ -20,6 +20,7 @@ from mavdiag.airframe.layout import LAYOUTS, RotorLayout
 from mavdiag.airframe.trim import MIN_OUTPUT
 from mavdiag.rows.block import Block
 from mavdiag.telemetry import FloatArray
+from mavdiag.units import NS_PER_S
 
 SPAN_S = 0.1  # changes over this time: longer than output periods and motor lag, shorter than trims (our choice)
 ROW_S = SPAN_S / 16  # between rows that are looked at, at least: outputs come at 50 Hz and more (our choice)
@@ -163,9 +164,10 @@ def moving_outputs(blocks: Iterable[Block]) -> list[int]:
 
 def _thinned(block: Block) -> Block:
     step = int(ROW_S / block.dt_s)
-    if step < 2:
+    if step < 2 or not len(block):
         return block
-    return Block(block.segment, step * block.dt_s, block.t_ns[::step], block.x[:, ::step].copy(), block.outputs)
+    rows = slice(-round(int(block.t_ns[0]) / (NS_PER_S * block.dt_s)) % step, None, step)  # however blocks are cut
+    return Block(block.segment, step * block.dt_s, block.t_ns[rows], block.x[:, rows].copy(), block.outputs)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -270,14 +272,14 @@ def _solved(products: FloatArray, overlap: int, driver: str) -> _Fit | None:
     products, moved = products[enough], moved[enough]
     ww, wx, xx = products[:, :-4, :-4], products[:, :-4, -4:-1], products[:, -4:-1, -4:-1]
     total, n = products[:, -4:-1, -1], products[:, -1:, -1]
-    scale = np.sqrt(np.maximum(_diagonals(xx) / n - np.square(total / n), 0.0))
+    scale = np.sqrt(np.maximum(np.einsum("lii->li", xx) / n - np.square(total / n), 0.0))
     scale = np.where(scale > 0, scale, 1.0)
     wx, xx = wx / scale[:, None], xx / scale[:, None] / scale[:, :, None]
     # [ X'X ] effects = [ X'W ]; drivers that move together by nature leave the smallest effects
     inverse = np.linalg.pinv(xx, rcond=SINGULAR, hermitian=True)
     effects = inverse @ wx.mT
     explained = (effects * (xx @ effects)).sum(axis=1)
-    left = np.maximum(_diagonals(ww) - 2 * (effects * wx.mT).sum(axis=1) + explained, 0.0)
+    left = np.maximum(np.einsum("lii->li", ww) - 2 * (effects * wx.mT).sum(axis=1) + explained, 0.0)
     shares = 1 - left.sum(axis=1) / moved
     best = int(shares.argmax())
     effects, explained, left, rows = effects[best], explained[best], left[best], float(n[best, 0])
@@ -285,10 +287,6 @@ def _solved(products: FloatArray, overlap: int, driver: str) -> _Fit | None:
     F = np.asarray(np.square(effects).mean(axis=1) / np.maximum(noise, TINY), dtype=np.float64)
     followed = np.asarray(explained / 3 / np.maximum(overlap * left / rows, TINY), dtype=np.float64)
     return _Fit(driver, effects, F, followed, float(shares[best]), np.asarray(xx[best] / rows))
-
-
-def _diagonals(tables: FloatArray) -> FloatArray:
-    return np.diagonal(tables, axis1=1, axis2=2)
 
 
 def _found(fit: _Fit | None, columns: Sequence[int], known: Sequence[RotorLayout]) -> LayoutFinding:

@@ -178,6 +178,7 @@ class VehicleStream:
         self._imu = NO_FRAMES.rows
         self._settled = False  # whether the IMU message is chosen
         self._worse_ns = 0  # since when another one is the better choice, or the only one that comes; 0 if none is
+        self._least = 255  # number of a sensor that came since
         self.parameters: Mapping[str, float] = {}
 
     @property
@@ -206,15 +207,18 @@ class VehicleStream:
         """Take another message, or another sensor's rows of the same, once it was the better choice for `STOPPED_S`."""
         first_ns, last_ns = imus.rows["host_ns"][[0, -1]].tolist()
         if not self._worse_ns:
-            self._worse_ns, self._imu = first_ns, imus.rows[:0]
+            self._worse_ns, self._imu, self._least = first_ns, imus.rows[:0], 255
         self._imu = np.concatenate((self._imu, imus.rows))[-CLEAR_FRAMES:]
         counts = Frames(imus.data, self._imu).counts()
         chosen = with_imu(self._own, counts)
-        better = imus.of(chosen.imu)
-        sensor = int(better.records(_NUMBERED[chosen.imu])["id"].min(initial=255)) if chosen.imu in _NUMBERED else 0
+        better, sensor, latest = imus.of(chosen.imu), 0, 0
+        if chosen.imu in _NUMBERED:
+            latest = int(better.records(_NUMBERED[chosen.imu])["id"].min(initial=255))
+            self._least = sensor = min(self._least, latest)
+        waited_s = (last_ns - self._worse_ns) / NS_PER_S
         if (chosen.imu, sensor) == (self.profile.imu, self.sensor):
             self._worse_ns = 0
-        elif len(better) and last_ns - self._worse_ns > STOPPED_S * NS_PER_S and counts[chosen.imu] >= USEFUL_FRAMES:
+        elif len(better) and latest == sensor and waited_s > STOPPED_S and counts[chosen.imu] >= USEFUL_FRAMES:
             self.sensor, self._worse_ns = sensor, 0
             self._decoder = SampleDecoder(chosen, map(_any_sensor, SOURCES) if sensor else SOURCES)
 

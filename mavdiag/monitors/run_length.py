@@ -240,18 +240,10 @@ def _train(flights: Flights, axis: Axis, context: LearnContext) -> ArxModel:
     each = [(flight, stretch) for flight, stretches in zip(flights, places, strict=True) for stretch in stretches]
     pairs = [_rates_in(flight, stretch, axis, next(taken)) for flight, stretch in each]
     u, y = [one for one, _ in pairs], [one for _, one in pairs]
-    figures, method, followed = context.figures, context.method, steady_turn(dt_s)
+    figures, method, steady = context.figures, context.method, steady_turn(dt_s)
     try:
         model = fit(
-            u,
-            y,
-            context.order,
-            dt=dt_s,
-            method=method,
-            settle_s=SETTLE_S,
-            figures=figures,
-            near=near,
-            followed=followed,
+            u, y, context.order, dt=dt_s, method=method, settle_s=SETTLE_S, figures=figures, near=near, followed=steady
         )
     except IdentificationError as error:
         raise IdentificationError(f"{axis}: {error}") from error

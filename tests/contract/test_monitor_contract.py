@@ -81,8 +81,7 @@ def run(monitor: Monitor[Any], rows: list[Rows]) -> Statistic:
 @given(seed=st.integers(0, 3), edges=st.lists(st.integers(0, SAMPLES), max_size=60))
 def test_any_chunking_gives_the_same_values(kind: type[Monitor[Any]], seed: int, edges: list[int]) -> None:
     telemetry = rough_flight(seed)
-    expected = run(built(kind), flying_rows(telemetry))
-    front = flying_front()
+    expected, front = run(built(kind), flying_rows(telemetry)), flying_front()
     state, rows = front.start(), list[Any]()
     for chunk in cut(telemetry, sorted(START_NS + edge * DT_NS for edge in edges)):
         rows += front.step(state, chunk)
@@ -151,8 +150,7 @@ def test_a_number_that_is_none_is_not_judged(kind: type[Monitor[Any]]) -> None:
         getattr(rows.block, columns[signal])[2000:2060] = np.nan
         rates = flying_front().rates
         rows = rates.step(rates.start(), rows.block)
-        found = run(monitor, [rows])
-        bad_ns = rows.block.t_ns[[2000, 2059]]
+        found, bad_ns = run(monitor, [rows]), rows.block.t_ns[[2000, 2059]]
         spoilt = (found.t_ns >= bad_ns[0]) & (found.t_ns <= bad_ns[1])
         assert spoilt.any(), signal
         assert not found.valid[spoilt].any(), signal

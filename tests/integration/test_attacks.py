@@ -366,8 +366,7 @@ def test_frames_in_our_own_name_are_refused_and_not_passed_on() -> None:
 
 
 def test_with_a_key_only_the_genuine_vehicle_is_heard_and_what_is_sent_is_signed(tmp_path: Path) -> None:
-    key = b"k" * 32
-    host = VirtualHost()
+    key, host = b"k" * 32, VirtualHost()
     unix_ns = round(host.utc().timestamp() * 1e9)
     genuine, plain = MadeVehicle(1), MadeVehicle(2)
     genuine.encoder = Encoder(1, Component.AUTOPILOT1, Signing(key, stamp=stamp_at(unix_ns)))
@@ -406,8 +405,7 @@ def test_nothing_else_is_ever_sent_over_a_long_story(tmp_path: Path) -> None:
     bench = Attacked(LEARNING, fitter=FakeFitter(baseline_for()), vehicles=vehicles)
     sent: Counter[int] = Counter()
     commands: Counter[int] = Counter()
-    station = Encoder(255, 190)
-    rng = np.random.default_rng(11)
+    station, rng = Encoder(255, 190), np.random.default_rng(11)
     wild = random_frames(12, None)
     for number in range(16):
         vehicles[0].turning = float(rng.choice([0.0, 0.0, 2.0]))

@@ -101,8 +101,7 @@ def test_the_command_reuses_and_reports(program: Any, tmp_path: Path) -> None:
     code, out, err = program(SITL_PLANT, *arguments, "--json")
     assert code == 0, err
     assert "2 results reused; 0 lines" in err
-    assert json.loads(out)["flights"] == 1
-    assert path.read_text() == before
+    assert (json.loads(out)["flights"], path.read_text()) == (1, before)
 
 
 def test_every_cause_meets_every_rotor_and_scale_equally_often() -> None:
@@ -198,8 +197,7 @@ def test_detections_are_counted_on_judged_faults_alone() -> None:
     summary = summarise(made())
     every = summary["detection"][0]
     assert (every["detected"].hits, every["detected"].of, every["early"]) == (2, 3, 1)
-    assert every["latency_median_s"] == pytest.approx(2.0)
-    assert every["latency_p90_s"] == pytest.approx(2.8)
+    assert (every["latency_median_s"], every["latency_p90_s"]) == pytest.approx((2.0, 2.8))
     assert (every["rotor_right"].hits, every["rotor_right"].of) == (1, 2)
     assert (every["type_right"].hits, every["type_right"].of) == (1, 2)
     assert (every["severity_right"].hits, every["severity_right"].of) == (1, 1)

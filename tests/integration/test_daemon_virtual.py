@@ -71,8 +71,7 @@ def texts(frames: list[Frame]) -> list[str]:
 def test_a_link_to_be_spoken_to_first_gets_heartbeats_only(benches: Benches, expected: int | None, sysid: int) -> None:
     bench = benches(Settings(connect=UDP_OUT, learn=5.0, vehicle=expected))
     bench.run(5.0)
-    frames = received(bench.far)
-    assert Counter((frame.msgid, frame.sysid) for frame in frames) == {(MessageId.HEARTBEAT, sysid): 6}
+    assert Counter((frame.msgid, frame.sysid) for frame in received(bench.far)) == {(MessageId.HEARTBEAT, sysid): 6}
 
 
 def test_two_vehicles_on_one_link_have_a_session_each(benches: Benches, tmp_path: Path) -> None:
@@ -117,8 +116,7 @@ def test_links_behind_get_the_vehicle_and_the_texts_and_can_answer(benches: Benc
         assert any("learning" in text for text in texts(frames))
         assert of(frames, MessageId.COMMAND_LONG) == []
     received(bench.far)
-    request = Encoder(255, 190).encode(MessageId.PARAM_REQUEST_LIST, 1, 1)
-    bench.behind[0].send(request)
+    bench.behind[0].send(Encoder(255, 190).encode(MessageId.PARAM_REQUEST_LIST, 1, 1))
     bench.run(0.1)
     assert len(of(received(bench.far), MessageId.PARAM_REQUEST_LIST)) == 1
 
@@ -333,8 +331,7 @@ def test_an_error_of_the_program_takes_off_one_vehicle_alone(tmp_path: Path, mon
 
     monkeypatch.setattr(bench.daemon.fleet.link.vehicles[2], "step", fails)
     bench.run(3.0)
-    states = {one.vehicle: one.state for one in bench.daemon.fleet.figures()}
-    assert states == {1: State.MONITORING, 2: State.FAULTED}
+    assert {one.vehicle: one.state for one in bench.daemon.fleet.figures()} == {1: State.MONITORING, 2: State.FAULTED}
     assert [text for text in texts(received(bench.far)) if "OFF" in text] == ["PROP OFF: KeyError: internal error"]
     assert finds_a_fault(bench)
     bench.close()

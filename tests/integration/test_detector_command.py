@@ -19,7 +19,7 @@ from processes import PATIENCE_S, ended, port_of, ran, running, until
 from shared_data import written
 
 from detector.config import ENVIRONMENT, Settings, example_text, load_settings
-from detector.journal import kept_baselines
+from detector.journal import check_files, kept_baselines
 from detector.web.server import SERVICE
 from mavdiag import __version__
 from mavdiag.errors import BaselineError, UsageError
@@ -242,6 +242,8 @@ def test_what_was_learned_is_found_again_by_its_vehicle(tmp_path: Path) -> None:
         provenance = made.provenance.model_copy(update={"vehicle": sysid})
         made.model_copy(update={"provenance": provenance}).save(tmp_path / name)
     assert set(kept_baselines(path)) == {3, 7}  # of learned.json and learned-7.json
+    (link := tmp_path / "link.json").symlink_to(path)
+    check_files(Settings(learn=9.0, save=link))  # it is used, and not written
     path.write_text("{}")
     with pytest.raises(BaselineError, match=r"learned\.json"):
         kept_baselines(path)

@@ -81,8 +81,7 @@ def test_the_lag_of_a_damaged_rotor_is_no_other_wiring() -> None:
     front = Front(AlignSpec(0.01, Grid.NATIVE), GateSpec(min_thrust=0.1), RateSpec.of(0.01, 11))
 
     def flown(**config: Any) -> list[Rows]:
-        link = LinkSpec("ardupilot", 100.0)
-        return list(rows_of(front, flight_telemetry(PlantConfig(**config), 16.0, link)[0]))
+        return list(rows_of(front, flight_telemetry(PlantConfig(**config), 16.0, LinkSpec("ardupilot", 100.0))[0]))
 
     lag = Injection(RotorDamage(thrust_factor=0.9, thrust_lag_s=0.06))
     learnt, layout = fingerprint_of([flown(seed=1)], QDRONE2.layout), QDRONE2.layout

@@ -268,8 +268,7 @@ def test_a_smaller_count_is_a_restarted_autopilot_and_the_plant_stands_on_the_gr
         high = answered(link.feed(servo_bytes(count, CLIMB), "a", 0.0))
     assert high["position"][2] < -0.05
     low = answered(link.feed(servo_bytes(0, OFF), "a", 0.0))
-    assert link.counts.restarts == 1
-    assert low["timestamp"] == pytest.approx(0.001)
+    assert (link.counts.restarts, low["timestamp"]) == (1, pytest.approx(0.001))
     assert low["position"][2] == pytest.approx(0.001, abs=0.002)
 
 
@@ -337,8 +336,7 @@ def test_the_sensors_of_a_vehicle_at_rest() -> None:
     assert np.all(updated & 0b111_111 == 0b111_111)
     compass, baro = updated & 0b111_000_000 != 0, updated & 0b1_000_000_000 != 0
     assert set(updated[baro] & 0b1_101_000_000_000) == {0b1_101_000_000_000}
-    assert compass.sum() == pytest.approx(200, abs=4)
-    assert baro.sum() == pytest.approx(80, abs=2)
+    assert (compass.sum(), baro.sum()) == (pytest.approx(200, abs=4), pytest.approx(80, abs=2))
     np.testing.assert_allclose(rows[compass, 7:10].mean(axis=0), [0.21523, 0.00771, 0.42741], atol=0.002)
     assert rows[baro, 10].mean() == pytest.approx(1013.25 * (1 - 0.0065 * 488 / 288.15) ** 5.2559, abs=0.1)
     assert len(np.unique(rows[compass, 7])) > 100, "a reading that stands still is a broken sensor to PX4"

@@ -41,8 +41,7 @@ UID, OTHER = "0011223344556677", "0011223344556688"
 @pytest.fixture
 def wearing(tmp_path: Path) -> Path:
     """One airframe that wears and one that does not."""
-    path = tmp_path / "fleet.sqlite"
-    rng = np.random.default_rng(1)
+    path, rng = tmp_path / "fleet.sqlite", np.random.default_rng(1)
     worn = 0.4 + 0.6 * np.arange(1, 141) / 150 + 0.03 * rng.standard_normal(140)
     calm = 0.4 + 0.03 * rng.standard_normal(60)
     with open_history(str(path), create=True) as history:
@@ -213,6 +212,9 @@ def test_a_flight_with_a_reboot_is_kept_and_a_vehicle_lost_in_flight_begins_no_o
         bench.vehicles = [MadeVehicle(3)]
         flown(bench, 12.0, armed=False)
         assert bench.daemon.fleet.vehicles[3].session.reboots == 1
+        with patch("os.fstatvfs", lambda _: os.statvfs_result((1,) * 10)):  # no room for a flight
+            flown(bench, 12.0)
+            flown(bench, 2.0, armed=False)
         flown(bench, 12.0)
         bench.vehicles = []
         with patch.object(Path, "open", side_effect=OSError) as opened:
@@ -260,7 +262,8 @@ def test_a_vehicle_gets_the_baseline_that_is_named_by_its_uid_also_where_it_is_s
         baseline.save(tmp_path / f"{name}.json")
     found = baselines_in(tmp_path)
     vehicles, uids = [MadeVehicle(k, Autopilot.GENERIC) for k in (1, 2, 3)], {2: UID}
-    bench = Bench(Settings(connect=UDP_IN, baselines=tmp_path), baselines=found, vehicles=vehicles)
+    flights = Flights(str(tmp_path / "history.sqlite"), tmp_path / "flights", print)
+    bench = Bench(Settings(connect=UDP_IN, baselines=tmp_path), baselines=found, vehicles=vehicles, flights=flights)
 
     def asked() -> dict[int, int]:
         counts = dict.fromkeys((1, 2, 3), 0)
@@ -285,5 +288,8 @@ def test_a_vehicle_gets_the_baseline_that_is_named_by_its_uid_also_where_it_is_s
     assert (asked(), judged()) == ({1: 0, 2: 3, 3: 3}, {1: found[1], 2: found[OTHER], 3: found[UID]})
     uids[2] = f"{0x77:016x}"
     vehicles[1] = MadeVehicle(2, Autopilot.GENERIC)
-    assert (asked(), judged()) == ({1: 0, 2: 3, 3: 0}, {1: found[1], 3: found[UID]})
-    bench.close()
+    with patch.object(flights, "put") as put:
+        assert (asked(), judged()) == ({1: 0, 2: 3, 3: 0}, {1: found[1], 3: found[UID]})
+        assert put.call_count == 1  # its flight has ended
+        bench.close()
+    flights.close()

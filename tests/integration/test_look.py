@@ -290,8 +290,7 @@ class PilotedVehicle(VirtualEndpoint):
         steps = max(1, round(timeout_s * NS_PER_S / STEP_NS))
         filtered = self._filters.step(self.plant.advance(steps))
         self.clock.ns += steps * STEP_NS
-        heard = self._link.receive()
-        self._take([] if self._deaf else heard)
+        self._take([] if self._deaf else self._link.receive())
         self._link.queue(filtered, self.autopilot.dialect)
         self._link.send_due(self.plant.t_ns)
         actions, orders = self.autopilot.watch(filtered.samples)

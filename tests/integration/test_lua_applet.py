@@ -190,8 +190,7 @@ def baseline_of(telemetry: Telemetry, layout: RotorLayout, gate: GateSpec, outpu
         except MavdiagError:
             continue
         found = [one.value[one.valid] for one in monitor_of(spec).over(rows)]
-        maxima = np.array([float(np.concatenate(found).max())])
-        scores = Scores(maxima, np.array([10.0]), np.array([0]))
+        scores = Scores(np.array([float(np.concatenate(found).max())]), np.array([10.0]), np.array([0]))
         entries.append(MonitorEntry(spec=spec, threshold=threshold_of(scores, sessions=[0], prior=by_name(name).prior)))
     return Baseline(
         airframe=airframe,
@@ -228,8 +227,7 @@ def by_python(baseline: Baseline, telemetry: Telemetry) -> Judged:
             look = looked.first + number if looked.end_ns is None else looked.end_ns / LOOK_NS
             for slot, reading in zip(chain.slots, readings.tolist(), strict=True):
                 if reading[AT] == look:
-                    at_ms = round(look * LOOK_NS / NS_PER_MS)
-                    found.values[slot.key[0], at_ms] = reading[RATIO], reading[READ]
+                    found.values[slot.key[0], round(look * LOOK_NS / NS_PER_MS)] = reading[RATIO], reading[READ]
         for change in changes:
             found.stage(change.stage, change.rotor, change.kind is FaultKind.GROSS_LOSS)
 
@@ -418,8 +416,7 @@ RECORDED = (
 @pytest.mark.parametrize(("healthy", "judged"), RECORDED)
 def test_recorded_flights_are_judged_alike(healthy: str, judged: str) -> None:
     folder = shared("data")
-    log = md.read_log(folder / healthy)
-    base = baseline_of(log.telemetry, layout_named("x"), GATE, None)
+    base = baseline_of(md.read_log(folder / healthy).telemetry, layout_named("x"), GATE, None)
     paths = sorted(folder.glob(judged))
     for path in {paths[0], paths[-1]}:
         found, _ = both(base, md.read_log(path).telemetry)

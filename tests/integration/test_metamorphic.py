@@ -141,8 +141,7 @@ def turned(telemetry: Telemetry) -> Telemetry:
         return values[:, [1, 0, 2]] * [1.0, -1.0, 1.0]
 
     def angles(values: FloatArray) -> FloatArray:
-        attitude = Rotation.from_euler("ZYX", values[:, ::-1]) * QUARTER
-        return np.ascontiguousarray(attitude.as_euler("ZYX")[:, ::-1])
+        return np.ascontiguousarray((Rotation.from_euler("ZYX", values[:, ::-1]) * QUARTER).as_euler("ZYX")[:, ::-1])
 
     vectors = (Signal.BODY_RATE, Signal.SPECIFIC_FORCE, Signal.TORQUE_COMMAND)
     attitudes = (Signal.ATTITUDE, Signal.ATTITUDE_SETPOINT)

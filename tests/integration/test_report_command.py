@@ -78,8 +78,7 @@ def test_logs_of_each_kind_have_a_page(log: str, own: str | None, tmp_path: Path
 
 
 def test_a_folder_makes_one_page_and_a_bad_file_does_not_lose_the_others(tmp_path: Path, baseline: Path) -> None:
-    folder = tmp_path / "logs"
-    folder.mkdir()
+    (folder := tmp_path / "logs").mkdir()
     (folder / "notes.txt").write_text("no log")
     (torn := tmp_path / "<b>empty.bin").write_bytes(b"")
     (folder / ".hidden").write_text("not looked at")
@@ -125,8 +124,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_page_can_be_read(chromium: Any, folder: Path, name: str, width: int, scheme: str) -> None:
     look_as(chromium, width, scheme)
     open_whole(chromium, folder / f"{name}.html")
-    ends = "return [document.documentElement.scrollWidth, innerWidth]"
-    assert chromium.execute_script(ends) == [width, width]
+    assert chromium.execute_script("return [document.documentElement.scrollWidth, innerWidth]") == [width, width]
     sideways = "return [...document.querySelectorAll('main *')].filter((one) => one.scrollWidth > one.clientWidth + 1"
     sideways += " && ['auto', 'scroll'].includes(getComputedStyle(one).overflowX)).length"
     assert chromium.execute_script(sideways) == 0
@@ -163,8 +161,7 @@ WEAK = md.Log("weak.ulg", "", "px4", flying(3000, 5, weak_rotor=3, rise=0.2), st
 
 def test_mcap_has_every_signal_and_statistic_in_order_of_the_wall_clock(tmp_path: Path) -> None:
     judged = judge_in_full(WEAK, whole())
-    topics = list(topics_of(WEAK, judged))
-    write_mcap(tmp_path / "x.mcap", WEAK, topics, judged.verdict.changes)
+    write_mcap(tmp_path / "x.mcap", WEAK, list(topics_of(WEAK, judged)), judged.verdict.changes)
     with (tmp_path / "x.mcap").open("rb") as stream:
         found = [(channel.topic, message) for _, channel, message in make_reader(stream).iter_messages()]
     times = [message.log_time for _, message in found]

@@ -117,8 +117,7 @@ def test_show_and_check(mavdiag: Any, baseline: Path, tmp_path: Path) -> None:
     assert "\nenvelope        yaw rate up to " in out
     code, out, _ = mavdiag("baseline", "check", baseline)
     assert (code, out.startswith(f"{baseline}: sound, sha256:")) == (0, True)
-    spoilt = tmp_path / "spoilt.json"
-    spoilt.write_text(baseline.read_text().replace("drone 1", "drone 2"))
+    (spoilt := tmp_path / "spoilt.json").write_text(baseline.read_text().replace("drone 1", "drone 2"))
     code, out, err = mavdiag("baseline", "check", spoilt)
     assert (code, out, err.count("\n")) == (2, "", 1)
     assert f"{spoilt}: digest: " in err
@@ -264,8 +263,7 @@ def flights(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 
 def test_the_model_of_a_log_has_figures_with_standard_errors(mavdiag: Any, flights: list[Path], tmp_path: Path) -> None:
-    picture = tmp_path / "m.svg"
-    code, out, err = mavdiag("model", flights[0], "--axis", "both", "--plot", picture)
+    code, out, err = mavdiag("model", flights[0], "--axis", "both", "--plot", tmp_path / "m.svg")
     assert (code, out.count("standard errors from the covariance of the parameters"), err.count("m-")) == (0, 2, 2)
     assert "bandwidth" in out
     assert sorted(one.name for one in tmp_path.iterdir()) == ["m-pitch.svg", "m-roll.svg"]

@@ -94,8 +94,7 @@ def test_the_page_works_behind_a_proxy_under_a_prefix() -> None:
     """As nginx of BlueOS asks: HTTP/1.0, the browser's host without a port, and the prefix taken away."""
     with serving(host="0.0.0.0", names=("blueos.local",)) as process:
         port = process.place.port
-        page = asked(port, Host="blueos.local").body
-        assert not re.search(r"(href|src)=\"/", page)  # nothing leaves the prefix
+        assert not re.search(r"(href|src)=\"/", asked(port, Host="blueos.local").body)  # nothing leaves the prefix
         assert not re.search(r"(EventSource|fetch)\(.\/", asked(port, "/app.js", Host="192.168.2.2").body)
         assert json.loads(asked(port, "/register_service", Host=f"127.0.0.1:{port}").body) == SERVICE
         assert asked(port, Host="evil.example").status == 403
@@ -271,8 +270,7 @@ def test_a_server_that_speaks_another_language_is_told_and_the_next_line_is_trie
 
 
 def test_nothing_waits_for_a_slow_program_and_what_the_queue_cannot_hold_is_told(tmp_path: Path) -> None:
-    slow = tmp_path / "slow.py"
-    slow.write_text("import time; time.sleep(5)\n")
+    (slow := tmp_path / "slow.py").write_text("import time; time.sleep(5)\n")
     with hooked(f"exec:{sys.executable} {slow}") as (hook, said):
         for _ in range(QUEUED + 50):
             hook.write("{}", urgent=True)  # comes back though no line was taken
@@ -313,8 +311,7 @@ def test_a_broker_gets_each_line(tmp_path: Path) -> None:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    config = tmp_path / "broker.conf"
-    config.write_text(f"listener {port} 127.0.0.1\nallow_anonymous true\n")
+    (config := tmp_path / "broker.conf").write_text(f"listener {port} 127.0.0.1\nallow_anonymous true\n")
     assert BROKER is not None
     broker = subprocess.Popen([BROKER, "-c", str(config)], stderr=subprocess.DEVNULL)
     got: list[bytes] = []

@@ -217,8 +217,7 @@ def oracle(path: Path, wanted: Collection[str]) -> dict[str, dict[str, FloatArra
     reader = import_module("pymavlink.DFReader").DFReader_binary(str(path), zero_time_base=False)
     rows: dict[str, list[dict[str, float]]] = defaultdict(list)
     while (message := reader.recv_match(type=list(wanted))) is not None:
-        name = message.get_type()
-        fields = message.to_dict()
+        name, fields = message.get_type(), message.to_dict()
         if fields.get(INSTANCE.get(name, ""), 0) == 0:
             rows[name].append({k: v for k, v in fields.items() if isinstance(v, int | float)})
     reader.close()

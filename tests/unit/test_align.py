@@ -181,8 +181,7 @@ def test_b2_a_force_gap_is_not_bridged_and_a_signal_without_a_column_is_unknown(
 
 
 def test_b22_memory_stays_bounded_when_the_gyro_stops_and_others_go_on() -> None:
-    t = clock(1000)
-    state = SPEC.start()
+    t, state = clock(1000), SPEC.start()
     blocks = SPEC.step(state, linear_flight(t, t))
     extra: list[Block] = []
     for i in range(1, 40):
@@ -353,8 +352,7 @@ def test_without_a_thrust_set_point_outputs_that_all_idle_are_no_flight(thrust: 
     outputs = np.array([[0.0, 0.1], [0.15, 0.1], [0.15, 0.2], [0.4, 0.4], [np.nan, 0.1], [0.0, 0.0]])
     for row, expected in zip(outputs, flies, strict=True):
         many = changed(block(np.full(100, thrust)), actuator=np.tile(row, (100, 1)))
-        assert bool(spans(THRUST, [many])) == expected
-        assert spans(GateSpec(), [many]) == [(0, 0, 99)]
+        assert (bool(spans(THRUST, [many])), spans(GateSpec(), [many])) == (expected, [(0, 0, 99)])
 
 
 DT_S = 0.001

@@ -124,8 +124,7 @@ def test_every_option_the_baseline_and_the_code_make_another_question(monkeypatc
     options = [Options(), Options(vehicle=1), Options(from_s=1.0), Options(to_s=1.0), Options(windows_s=1.0)]
     options += [Options(figures=True), Options(flown_ns=1)]
     scopes = [asked(option).scope for option in options]
-    other = archive_baseline().model_copy(update={"digest": "sha256:other"})
-    scopes.append(Question.of(other, Options()).scope)
+    scopes.append(Question.of(archive_baseline().model_copy(update={"digest": "sha256:other"}), Options()).scope)
     monkeypatch.setattr("mavdiag.archive.scan.judging_version", lambda: "other")
     scopes.append(asked().scope)
     assert (len(set(scopes)), asked().scope) == (len(scopes), asked().scope)

@@ -69,8 +69,7 @@ def test_a_watch_gives_what_the_verdict_on_the_log_gives() -> None:
     for chunk in cut(telemetry, list(range(START_NS, START_NS + 30 * 10**9, 250_000_000))):
         news += watch.step(chunk)
     assert watch.diagnosis.stage is Stage.FAULT
-    assert watch.diagnosis.rotor == 3
-    assert repr(watch) == f"<Watch: fault, {watch.diagnosis.reason}>"
+    assert (watch.diagnosis.rotor, repr(watch)) == (3, f"<Watch: fault, {watch.diagnosis.reason}>")
     verdict = md.judge(md.Log("x", "", "px4", telemetry), whole())
     changes = [one for one in news if isinstance(one, Change)]
     assert [(one.stage, one.t_ns) for one in changes] == [(one.stage, one.t_ns) for one in verdict.changes]

@@ -245,8 +245,7 @@ def test_the_dashboard_asks_only_for_figures_and_labels_that_there_are(metrics: 
     text = Path(__file__).parents[2].joinpath("deploy", "grafana-dashboard.json").read_text()
     board, bench = json.loads(text), flown(metrics, vehicles=2)
     bench.close()
-    served = page(metrics)
-    known = set(re.findall(r"^# TYPE (\w+) ", served, re.MULTILINE))
+    known = set(re.findall(r"^# TYPE (\w+) ", page(metrics), re.MULTILINE))
     known |= {f"{name}_{more}" for name in known for more in ("bucket", "total")}
     asked = set(re.findall(r"mavdiag_\w+", text))
     assert len(asked) >= 12

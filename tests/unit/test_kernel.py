@@ -35,8 +35,7 @@ def hard_flight(seed: int) -> Telemetry:
     The nose turns as was not learnt from 1 to 2.5 s, rotor 2 is weak from 8 to 16 s, the gyro shakes from 18 to 20 s, a
     landing is at 22 s, vibration is up from 30 to 38 s, rotor 3 is weak from 38 s on.
     """
-    rng = np.random.default_rng(seed)
-    s = DT_NS * np.arange(N) / 1e9
+    rng, s = np.random.default_rng(seed), DT_NS * np.arange(N) / 1e9
     healthy = flying(N, seed, turn=np.where((s > 1.0) & (s < 2.5), 1.5, 0.0))
     parts = []
     for one in healthy.series:
@@ -121,8 +120,7 @@ def test_looks_and_alarms_are_what_their_definition_says(name: str) -> None:
 @given(name=st.sampled_from(["whole", "thesis"]), edges=st.lists(st.integers(1, 1000), max_size=40))
 def test_no_cut_of_the_rows_changes_a_bit(name: str, edges: list[int]) -> None:
     (looked, pieces, told), (whole_looked, (one,), whole_told) = judged(name, edges), judged(name, [])
-    assert joined(looked) == joined(whole_looked)
-    assert told == whole_told
+    assert (joined(looked), told) == (joined(whole_looked), whole_told)
     for number, expected in enumerate(one.found):
         for field in ("t_ns", "value", "valid", "level", "signal"):
             values = np.concatenate([getattr(piece.found[number], field) for piece in pieces])

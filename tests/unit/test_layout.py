@@ -105,11 +105,13 @@ def test_a_layout_is_found_from_a_flight(name: str, driver: str) -> None:
         assert driver in found.reason
 
 
-@pytest.mark.parametrize("rows", [3, 333])
-def test_l6_a_live_link_and_a_log_find_the_same(rows: int) -> None:
+@pytest.mark.parametrize(("rows", "per_row"), [(3, 1), (333, 1), (47, 10)])
+def test_l6_a_live_link_and_a_log_find_the_same(rows: int, per_row: int) -> None:
     """L6: a live link gives 4 rows a time, a log all of them; the answer is the same, to the last digit."""
     for name in ("x", "plus"):
-        flight = made_flight(layout_named(name), 4, driver="rate error")
+        slow = made_flight(layout_named(name), 4, driver="rate error")
+        t_ns, x = np.arange(per_row * len(slow)) * 10_000_000 // per_row, np.repeat(slow.x, per_row, axis=1)
+        flight = Block(slow.segment, slow.dt_s / per_row, t_ns, x, slow.outputs)
         pieces = [flight.rows(i, min(i + rows, len(flight))) for i in range(0, len(flight), rows)]
         assert detect_layout(pieces) == detect_layout([flight])
         assert detect_layout(pieces).layout is layout_named(name)
@@ -250,8 +252,7 @@ def test_a_baseline_keeps_the_outputs_and_names_the_weak_rotor(parameters: dict[
     assert (baseline.airframe.layout.name, baseline.airframe.outputs) == ("x", (5, 6, 7, 8))
     assert baseline.airframe.layout_basis.startswith(basis)
     assert f"rotor layout x, its rotors on outputs 5, 6, 7, 8 ({basis}" in str(baseline)
-    weak = Log("weak", "", "px4", shifted(flying(3000, 7, weak_rotor=3, rise=0.3)))
-    verdict = judge(weak, baseline)
+    verdict = judge(Log("weak", "", "px4", shifted(flying(3000, 7, weak_rotor=3, rise=0.3))), baseline)
     assert verdict.verdict is Verdict.FAULT
     assert "rotor 3" in verdict.reason
     healthy = judge(Log("healthy", "", "px4", shifted(flying(3000, 8))), baseline)

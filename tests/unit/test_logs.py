@@ -143,8 +143,7 @@ def test_a_file_without_header_or_time_is_read_by_number_and_rate(tmp_path: Path
 def test_a_counter_of_32_bits_that_begins_anew_goes_on(tmp_path: Path) -> None:
     path = written(tmp_path / "flight.csv", "t,p\n4294967290,1\n2,1\n14,1\n")
     text = '[time]\ncolumn = "t"\nunit = "us"\n[body_rate]\ncolumns = ["p", "p", "p"]\nunit = "rad/s"\n'
-    log = read_log(path, columns=parse_column_map(text))
-    assert np.diff(log[Signal.BODY_RATE].t_ns).tolist() == [8_000, 12_000]
+    assert np.diff(read_log(path, columns=parse_column_map(text))[Signal.BODY_RATE].t_ns).tolist() == [8_000, 12_000]
 
 
 @pytest.mark.parametrize(
@@ -250,8 +249,7 @@ def test_topics_become_signals_in_si_and_frd(
 
 
 def test_a_sample_that_its_driver_does_not_date_has_the_time_of_its_message(tmp_path: Path) -> None:
-    fields = STAMP, ("uint64_t", "timestamp_sample"), ("float[3]", "xyz")
-    topic = ULogTopic(3, "vehicle_angular_velocity", fields)
+    topic = ULogTopic(3, "vehicle_angular_velocity", (STAMP, ("uint64_t", "timestamp_sample"), ("float[3]", "xyz")))
     log = read(tmp_path, ulog([topic], [topic.record(2_000, 1_500, 0, 0, 0), topic.record(3_000, 0, 0, 0, 0)]))
     assert log["body_rate"].t_ns.tolist() == [1_500_000, 3_000_000]
 
@@ -497,8 +495,7 @@ def test_a_whole_log_is_read(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_damage_costs_only_the_records_it_hits(tmp_path: Path, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    pieces = records()
+    rng, pieces = np.random.default_rng(seed), records()
     for k in rng.choice(len(pieces), 20, replace=False):
         harm = bytearray(pieces[k])
         harm[8 + int(rng.integers(len(harm) - 8))] ^= 1 << int(rng.integers(8))

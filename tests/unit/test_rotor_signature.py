@@ -49,8 +49,7 @@ def flown(seed: int, push: FloatArray, n: int = N) -> Rows:
 
 def wander(seed: int, n: int = N) -> FloatArray:
     """(n, 1) slow noise of unit rms."""
-    rng = np.random.default_rng([seed, 7])
-    slow = lfilter([0.1], [1, -0.9], rng.normal(size=n))
+    slow = lfilter([0.1], [1, -0.9], np.random.default_rng([seed, 7]).normal(size=n))
     return np.asarray(slow / slow.std())[:, None]
 
 
@@ -128,8 +127,7 @@ def test_gain_bias_and_gusts_are_no_rotor(spec: RotorSignatureSpec, gusts: float
 def test_on_a_plus_frame_the_idle_axis_does_not_count() -> None:
     spec = fit([[flown(seed, CALM)] for seed in range(2)], "plus")
     for rotor, (roll, pitch, _) in enumerate(layout_named("plus").signs, start=1):
-        push = 0.1 * wander(rotor) * [roll, pitch, -4.0]
-        found = read(RotorSignature(spec), flown(15, push))
+        found = read(RotorSignature(spec), flown(15, 0.1 * wander(rotor) * [roll, pitch, -4.0]))
         assert (found.rotors[found.valid].argmax(axis=1) + 1 == rotor).mean() > 0.99
 
 

@@ -53,8 +53,7 @@ def test_it_measures_the_share_that_one_rotor_is_off_and_names_it(
     ratio[rotor] *= 1 + share if faster else 1 - share
     value, level, rotors = last(healthy, rows_of(seed, ratio, 1500, wander=0.002))
     assert value == pytest.approx(share, abs=0.2 * share + 5e-4)  # its own errors make it careful
-    assert (level > 0) == faster
-    assert int(rotors.argmax()) == rotor
+    assert (level > 0, int(rotors.argmax())) == (faster, rotor)
     assert np.sort(rotors)[-2] < 0.5 * value
 
 

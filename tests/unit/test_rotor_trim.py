@@ -66,8 +66,7 @@ def test_a_rotor_is_named_by_what_its_rise_leaves_not_by_its_size(which: int, ra
     w[which] += 0.2
     rows = [example_rows(600, actuator=fluttering(0.5 * (1 + w)))]
     found = read(replace(spec, spread=(0.002 * ratio, 0.002 * ratio, 0.002)), rows)
-    assert int(found.rotors[-1].argmax()) == which
-    assert found.value[-1] == pytest.approx(0.2)
+    assert (int(found.rotors[-1].argmax()), found.value[-1]) == (which, pytest.approx(0.2))
 
 
 def test_a_shifted_centre_of_mass_counts_little() -> None:
@@ -80,8 +79,7 @@ def test_a_shifted_centre_of_mass_counts_little() -> None:
 
 
 def test_torque_commands_give_the_same_as_outputs() -> None:
-    frame = layout_named("crazyflie")
-    gain = np.array([0.25, 0.25, 0.5]) * 65534 / 65535
+    frame, gain = layout_named("crazyflie"), np.array([0.25, 0.25, 0.5]) * 65534 / 65535
     rng, n = np.random.default_rng(2), 800
     torque, thrust = rng.normal([0.02, -0.03, 0.1], 0.05, (n, 3)), rng.uniform(0.5, 0.6, n)
     outputs = thrust[:, None] + (torque * gain) @ frame.mixing.T

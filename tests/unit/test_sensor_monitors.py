@@ -51,8 +51,7 @@ def test_a_gyro_that_drifts_grows_by_its_integral(axis: int) -> None:
     for tick, span_s in ((399, 15.0), (79, 6.0)):  # after 8 s there are 6 s between the two means of 2 s
         excused = 0.004 * span_s  # a bias that is no fault
         excused += 0.01 * 0.01 * span_s if axis == 2 else 0.0  # what a gyro that turns so far may be wrong by
-        expected = 0.01 * span_s / (0.01 + excused)
-        assert found.value[tick] == pytest.approx(expected, rel=0.1)
+        assert found.value[tick] == pytest.approx(0.01 * span_s / (0.01 + excused), rel=0.1)
 
 
 def test_a_vertical_bias_counts_only_where_it_lasts() -> None:
@@ -107,17 +106,14 @@ def test_a_rotor_that_is_gone_is_named_by_how_the_vehicle_falls(rotor: int) -> N
     force[2000:, 2] *= 0.6
     rate[2000:, :2] = -5.0 * layout.mixing[rotor - 1, :2]
     monitor = ThrustLoss(ThrustLossSpec(layout=layout, per_command=2 * G))
-    rows = example_rows(N, DT_S, rate=rate, force=force, thrust=np.full(N, 0.5))
-    found = read(monitor, rows)
+    found = read(monitor, example_rows(N, DT_S, rate=rate, force=force, thrust=np.full(N, 0.5)))
     assert found.value[:2000].max() < 0.01
-    assert found.value[2015] == pytest.approx(0.4, abs=0.05)
-    assert int(found.rotors[2015].argmax()) + 1 == rotor
+    assert (found.value[2015], int(found.rotors[2015].argmax()) + 1) == (pytest.approx(0.4, abs=0.05), rotor)
 
 
 def test_less_thrust_by_command_battery_or_payload_is_no_loss() -> None:
     t = DT_S * np.arange(N)
-    thrust = 0.5 + 0.1 * np.sin(t)
-    battery = 1.0 - 0.3 * t / t[-1]
+    thrust, battery = 0.5 + 0.1 * np.sin(t), 1.0 - 0.3 * t / t[-1]
     force = np.column_stack((np.zeros((N, 2)), -2 * G * battery * thrust))
     rate = np.full((N, 3), 3.0)
     monitor = ThrustLoss(ThrustLossSpec(layout=None, per_command=2 * G))

@@ -88,8 +88,7 @@ def test_outputs_that_stand_still_are_no_step_and_no_rotor() -> None:
     found = read(outputs)
     assert found.value[found.valid].max() < LEAST + 0.12 / 10  # one tick of ten, at most
     assert not found.valid[found.t_ns > 21e9].any()
-    dead = read(np.ones((2000, 4)))
-    assert not dead.valid.any()  # "all motors 100 %" is nothing to judge by
+    assert not read(np.ones((2000, 4))).valid.any()  # "all motors 100 %" is nothing to judge by
 
 
 def test_ground_effect_is_no_reference() -> None:
