@@ -113,7 +113,7 @@ def test_healthy_flights_of_another_kind_than_was_learnt_are_no_faults(learnt: s
 
 
 @pytest.mark.parametrize("air", [{"wind_m_s": 5.0}, {"turbulence_m_s": 10.0}])
-def test_wind_after_calm_hovers_is_neither_a_fault_nor_a_suspicion(air: dict[str, float]) -> None:
+def test_wind_after_calm_hovers_is_neither_a_fault_nor_a_suspicion(air: dict[str, Any]) -> None:
     base = taught(range(1, 4), 40.0, trajectory="hover", nose="fixed")
     found = judge(healthy_flights([11], 40.0, trajectory="hover", **air)[0], base)
     assert found.verdict is Verdict.HEALTHY, found.reason
