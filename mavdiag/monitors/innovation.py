@@ -162,14 +162,14 @@ class Innovation(Monitor[InnovationSpec]):
         a, b, laws = list[Four](), list[Four](), list[tuple[float, float]]()
         speed = None if context.imu_corner_hz else context.airframe.hover_rad_s  # a filter leaves no line
         turns = [shift * speed * context.dt_s for shift in SHIFTS] if speed else []
-        trained = [*pairs, *(_shifted(one, turn) for turn in turns for one in pairs)]
+        shifted = [_shifted(one, turn) for turn in turns for one in pairs]
         steady = np.linalg.norm(steady_turn(context.dt_s)) * np.repeat([[-1.0], [1.0]], [LAG, LAG + 1], axis=0)
         for axis in range(3):
             # [ -y(t-1) .. -y(t-4)   u(t-1) .. u(t-4)   y(t) ]'    (9, n), the valid rows of all flights
-            regressions = [_regression(one, axis, float(mean[axis])) for one in trained]
-            stacked = np.concatenate(regressions[: len(pairs)], axis=1)
-            followed = [steady] if axis < 2 else []  # yaw follows slowly
-            theta = _least_squares(triangle(np.concatenate([*regressions, *followed], axis=1).T))
+            stacked = np.concatenate([_regression(one, axis, float(mean[axis])) for one in pairs], axis=1)
+            triangles = [triangle(_regression(one, axis, float(mean[axis])).T) for one in shifted]
+            followed = [steady.T] if axis < 2 else []  # yaw follows slowly
+            theta = _least_squares(triangle(np.concatenate((triangle(stacked.T), *triangles, *followed))))
             squares = np.square(stacked[-1] - theta @ stacked[:-1])
             steps = np.abs(np.diff(stacked[-1]))
             if squares.mean() == 0.0 or not steps.any():
