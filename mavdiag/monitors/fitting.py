@@ -15,7 +15,7 @@ from mavdiag.thresholds.heldout import Looks
 
 MEMORY_S = 0.35  # of the mean square of the command (METHOD section 4)
 MIN_SHARE = 0.05  # of the mean square, left to k0 however busy the set-point (our choice)
-STEADY_RAD_S, STEADY_S = 0.2, 5.0  # less than a hundredth of what one minute of turns tells (our choice)
+STEADY_RAD_S, STEADY_S = 0.2, 5.0  # about a hundredth of what one minute of squares tells (our choice)
 SCORINGS, RANK = 4, 1e-12  # of the variance law; from where on its two columns differ (our choices)
 Found = TypeVar("Found")
 
