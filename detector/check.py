@@ -4,7 +4,7 @@ import http.client
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from detector.config import ANY, NOT_KEPT, Settings, check_installed, split_address
+from detector.config import ANY, NOT_KEPT, Settings, split_address
 from detector.journal import check_files
 from detector.judging import chain_for
 from detector.rules import parse_rules
@@ -12,7 +12,7 @@ from detector.web.access import Access
 from detector.web.child import read_token
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import Baseline, check_link
-from mavdiag.errors import LinkError, UsageError
+from mavdiag.errors import LinkError, UsageError, check_installed
 from mavdiag.link.keys import read_key
 from mavdiag.link.ports import check_address
 from mavdiag.storage import check_writable

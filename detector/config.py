@@ -3,7 +3,6 @@
 Each setting is one field, with its option of the command line where it has one; `detector/example.toml` documents it.
 """
 
-import importlib.util
 import inspect
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
@@ -17,7 +16,7 @@ from typer.models import OptionInfo
 from detector.hooks import parse_hook
 from detector.rules import AUTOMATIC, parse_modes, parse_rules
 from detector.web.access import is_loopback
-from mavdiag.errors import InputError, UsageError, missing_extra
+from mavdiag.errors import InputError, UsageError
 from mavdiag.link.ports import Kind, parse_address
 from mavdiag.link.profiles import profile_named
 from mavdiag.link.wants import LEAST_HZ
@@ -230,12 +229,6 @@ def page_address(web: str, token_file: Path | None, names: Sequence[str] = ()) -
     if token_file is None and not is_loopback(host) and not names:
         raise UsageError(f"--web {web}: others reach {host}; name a --web-token-file FILE, or 127.0.0.1")
     return host, port
-
-
-def check_installed(option: str, package: str, extra: str) -> None:
-    """Raise UsageError, saying what to install, unless the package is there that an option needs."""
-    if importlib.util.find_spec(package.lower()) is None:
-        raise missing_extra(option, package, extra)
 
 
 def split_address(text: str, what: str) -> tuple[str, int]:

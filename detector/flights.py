@@ -17,12 +17,11 @@ from functools import partial
 from pathlib import Path
 from typing import BinaryIO
 
-from detector.config import check_installed
 from detector.fleet import Vehicle
 from detector.hooks import Courier
 from detector.judging import Judge
 from mavdiag.baseline import Baseline, dump
-from mavdiag.errors import UsageError
+from mavdiag.errors import UsageError, check_installed
 from mavdiag.judging import MIN_JUDGED_S
 from mavdiag.logs.tlog import tlog_record
 from mavdiag.storage import leave_room, write_atomically

@@ -7,7 +7,6 @@
 A line waits in a bounded queue and is tried TRIES times; what is lost is counted and told. The daemon never waits.
 """
 
-import importlib.util
 import queue
 import shlex
 import shutil
@@ -19,7 +18,7 @@ from collections.abc import Callable, Iterable
 from typing import TypeAlias
 from urllib.parse import urlsplit
 
-from mavdiag.errors import UsageError
+from mavdiag.errors import UsageError, check_installed
 
 QUEUED = 1000  # lines that wait (our choice: an alert a second for a quarter of an hour)
 TRIES, PAUSE_S = 3, 1.0  # of a line; the pause doubles after each (our choice)
@@ -48,8 +47,7 @@ def parse_hook(text: str) -> Deliver:
     if scheme in ("http", "https") and host:
         return lambda line: _post(text, line)
     if scheme == "mqtt" and host and parts.path.strip("/") and not set("+#?").intersection(address):
-        if importlib.util.find_spec("paho") is None:
-            raise UsageError(f"hook {text!r}: MQTT needs the extra: pip install 'mavdiag[mqtt]'")
+        check_installed(f"hook {text!r}", "paho", "mqtt")
         return lambda line: _publish(host, port or MQTT_PORT, parts.path.strip("/"), line)
     raise UsageError(f"hook {text!r}: write exec:PROGRAM, http://HOST/PATH, https://HOST/PATH or mqtt://HOST/TOPIC")
 

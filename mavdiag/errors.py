@@ -3,6 +3,8 @@
 The wire never raises: malformed bytes are counted and dropped.
 """
 
+from importlib.util import find_spec
+
 
 class MavdiagError(Exception):
     """Base of all errors that this project raises on purpose."""
@@ -15,6 +17,12 @@ class UsageError(MavdiagError):
 def missing_extra(what: str, package: str, extra: str) -> UsageError:
     """The error where a package of an extra is not installed: `what` needs it."""
     return UsageError(f"{what} needs {package}, which is not installed: pip install 'mavdiag[{extra}]'")
+
+
+def check_installed(what: str, package: str, extra: str) -> None:
+    """Raise UsageError, saying what to install, unless a package of an extra is there."""
+    if find_spec(package.lower()) is None:
+        raise missing_extra(what, package, extra)
 
 
 class InputError(MavdiagError):

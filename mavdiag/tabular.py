@@ -2,9 +2,10 @@
 
 from collections.abc import Mapping, Sequence
 from html import escape
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from mavdiag.errors import missing_extra
+from mavdiag.errors import check_installed
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -40,11 +41,8 @@ class Tabular:
 
 def pandas() -> Any:
     """The library. Raises UsageError without it."""
-    try:
-        import pandas as library
-    except ModuleNotFoundError as error:
-        raise missing_extra("a frame", "pandas", "export") from error
-    return library
+    check_installed("a frame", "pandas", "export")
+    return import_module("pandas")
 
 
 def _shown(value: object) -> str:

@@ -15,9 +15,8 @@ from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
 
-from detector.config import check_installed
 from detector.web.access import Access
-from mavdiag.errors import LinkError, UsageError
+from mavdiag.errors import LinkError, UsageError, check_installed
 from mavdiag.link.keys import read_secret
 from mavdiag.telemetry import Instant
 

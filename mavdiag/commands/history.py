@@ -20,7 +20,7 @@ from mavdiag.baseline import Baseline
 from mavdiag.commandline import application, say
 from mavdiag.commands import options as opt
 from mavdiag.commands.scan import judging
-from mavdiag.errors import UsageError, missing_extra
+from mavdiag.errors import UsageError, check_installed
 from mavdiag.face import now
 from mavdiag.history import show as shown
 from mavdiag.history.warn import Mark, MarkKind, Overview, overview_of
@@ -157,11 +157,9 @@ def _added(history: "History", answer: Answer, airframe: str, *, again: bool, by
 
 
 def _open(database: str, *, create: bool = False, write: bool = False) -> "AbstractContextManager[History]":
-    """SQLAlchemy is loaded here and nowhere else. Raises UsageError if it is not installed."""
-    try:
-        from mavdiag.history.store import open_history
-    except ImportError as error:
-        raise missing_extra("a history", "SQLAlchemy", "history") from error
+    check_installed("a history", "SQLAlchemy", "history")
+    from mavdiag.history.store import open_history  # SQLAlchemy is loaded here and nowhere else
+
     return open_history(database, create=create, write=write)
 
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mavdiag.decision.diagnosis import Change, Stage
-from mavdiag.errors import missing_extra
+from mavdiag.errors import check_installed
 from mavdiag.judging import JudgedFlight
 from mavdiag.storage import replacing
 from mavdiag.telemetry import FloatArray, IntArray, Log, frame_of
@@ -77,10 +77,8 @@ def write_mcap(path: Path, log: Log, topics: Sequence[Topic], changes: Sequence[
 
     Raises UsageError without the library, or if it cannot be written.
     """
-    try:
-        from mcap.writer import Writer
-    except ModuleNotFoundError as error:
-        raise missing_extra("MCAP", "mcap", "export") from error
+    check_installed("MCAP", "mcap", "export")
+    from mcap.writer import Writer
 
     t_ns = np.concatenate([topic.t_ns for topic in topics])
     whose = np.repeat(np.arange(len(topics)), [len(topic.t_ns) for topic in topics])
