@@ -67,22 +67,20 @@ GROUPS: Mapping[int, frozenset[int]] = {
 class Sender(Companion):
     """Encodes for one vehicle, with its own sequence numbers."""
 
-    def beat(self, state: State) -> bytes:
-        """HEARTBEAT of a session that works. Raises KeyError for a faulted one: it must send none."""
-        return self.heartbeat(HEALTH[state])
-
     def answer(self, command: Command, result: MavResult) -> bytes:
         """COMMAND_ACK to who sent a command."""
         return self.encode(MessageId.COMMAND_ACK, command.command, result, 0, 0, command.sysid, command.compid)
 
-    def version(self, msgid: int) -> bytes | None:
-        """AUTOPILOT_VERSION or COMPONENT_INFORMATION_BASIC; None for another message."""
-        if msgid == MessageId.AUTOPILOT_VERSION:
+    def version(self, command: Command) -> bytes | None:
+        """AUTOPILOT_VERSION or COMPONENT_INFORMATION_BASIC, if a command asks for one of them, else None."""
+        msgid = command.parameter if command.command == MavCmd.REQUEST_MESSAGE else None
+        if command.command == MavCmd.REQUEST_AUTOPILOT_CAPABILITIES or msgid == MessageId.AUTOPILOT_VERSION:
             major, minor, patch = (int(part) for part in __version__.split(".")[:3])
             number, none = major << 24 | minor << 16 | patch << 8, (0,) * 8
-            return self.encode(msgid, CAPABILITIES, number, number, 0, 0, none, none, none, 0, 0, 0)
+            told = (CAPABILITIES, number, number, 0, 0, none, none, none, 0, 0, 0)
+            return self.encode(MessageId.AUTOPILOT_VERSION, *told)
         if msgid == MessageId.COMPONENT_INFORMATION_BASIC:
-            return self.encode(msgid, CAPABILITIES, 0, 0, VENDOR, MODEL, __version__, "", "")
+            return self.encode(int(msgid), CAPABILITIES, 0, 0, VENDOR, MODEL, __version__, "", "")
         return None
 
     def frames(self, effect: Effect) -> tuple[list[bytes], bool]:
@@ -211,7 +209,7 @@ class Requests:
                 self._acknowledged |= {sysid: whose} if closes else {}
             elif changes:
                 result = MavResult.DENIED
-            elif (version := sender.version(_requested(command))) is not None:
+            elif (version := sender.version(command)) is not None:
                 result, more = MavResult.ACCEPTED, [version]
             more = [sender.answer(command, result), *more]
         else:
@@ -251,14 +249,6 @@ class Requests:
         new = kind not in self._noted and len(self._noted) < NOTED_MOST
         self._noted |= {kind} if new else set()
         return new
-
-
-def _requested(command: Command) -> int:
-    """The message that a command asks for; -1 if it asks for none."""
-    if command.command == MavCmd.REQUEST_AUTOPILOT_CAPABILITIES:
-        return MessageId.AUTOPILOT_VERSION
-    asks = command.command == MavCmd.REQUEST_MESSAGE and 0 <= command.parameter < 1 << 24
-    return int(command.parameter) if asks else -1
 
 
 def _addressed(frame: Frame, watched: Collection[int]) -> int | None:

@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 from functools import partial
 from typing import TYPE_CHECKING
 
-from detector.component import Handled, Requests, Sender
+from detector.component import HEALTH, Handled, Requests, Sender
 from detector.config import Settings
 from detector.fitting import FittingJob, ProcessFitter
 from detector.fleet import Fleet, Turn
@@ -23,7 +23,6 @@ from detector.journal import Journal, Recorder, Reporter, When
 from detector.notify import Notifier
 from detector.relay import Relay
 from detector.rules import parse_rules
-from detector.states import State
 from detector.values import DaemonFigures, Effect, EventOpened, Learn, LinkFigures, Note, SessionSpec, is_working
 from mavdiag import __version__
 from mavdiag.airframe.airframe import Airframe
@@ -323,10 +322,10 @@ class Daemon:
         for sysid, vehicle in self.fleet.vehicles.items():
             vehicle.session.unix_offset_ns = self._unix_ns() - self._host.now_ns()
             if vehicle.session.working:
-                self._relay.send(self._sender(sysid).beat(vehicle.session.state))
+                self._relay.send(self._sender(sysid).heartbeat(HEALTH[vehicle.session.state]))
         if self._announces and not self.fleet.vehicles:
             first = self._sender(self._settings.vehicle or FIRST_VEHICLE)
-            self._relay.send(first.beat(State.WAITING), to_all=False)
+            self._relay.send(first.heartbeat(), to_all=False)
         if self._metrics is not None:
             self._metrics.show(self.figures(), self._host.now_ns())
         if self._web is not None:
