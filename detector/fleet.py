@@ -250,7 +250,7 @@ class Fleet:
             judged_s=judge.judged_s if judge else 0.0,
             events=vehicle.events,
             flight_s=judge.flight_s if judge else 0.0,
-            rates=tuple((signal.value, session.streams.meter(signal).rate_hz) for signal in METERED),
+            rates=tuple((signal.value, session.streams.meters[signal].rate_hz) for signal in METERED),
             ratios=tuple((slot.monitor.name, slot.monitor.axis or "", ratio) for slot, ratio in ratios),
             timesync=vehicle.timesync,
             drift_ppm=self.link.vehicles[sysid].state.timeline.drift_ppm,

@@ -106,7 +106,7 @@ class Judged:
         if chain is not self._chain or not self.moments:
             self._chain, told = chain, json_line(about(self.vehicle, session.spec.profile.name, judge))
         spans = (judge.judged_s, judge.flight_s) if judge else (0.0, 0.0)
-        rates = tuple((signal.value, session.streams.meter(signal).rate_hz) for signal in METERED)
+        rates = tuple((signal.value, session.streams.meters[signal].rate_hz) for signal in METERED)
         figures = VehicleFigures(self.vehicle, session.state, 0, 0, spans[0], self._alarms, spans[1], rates)
         shown = self._snapshots.next(figures, session, judge.pieces if judge else (), self._track, self._at)
         everything, began = DaemonFigures((figures,), (), 0, 0.0), Instant(self.begin_ns)

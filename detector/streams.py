@@ -142,7 +142,7 @@ class Streams:
         self.armed = self.thrust = float("nan")  # 0 or 1; collective set-point, 0..1: as said last; nan if never said
         self.changes = 0  # of rates, so far
         self.scale_doubt = ""  # what the accelerometer feels and the profile that would explain it, if it is not 1 g
-        self._meters = {signal: Meter() for signal in METERED}
+        self.meters = {signal: Meter() for signal in METERED}
         self._weighed: list[FloatArray] = []  # of the accelerometer, until its scale is believed
         self._weighed_since_ns = 0
         self._scale_believed = False
@@ -151,11 +151,11 @@ class Streams:
         """Take in what came. profile: of the link, with the IMU message that is read."""
         self.began = self.began or now
         came = {series.signal: series for series in telemetry.series if series.t_ns.size}
-        for signal, meter in self._meters.items():
+        for signal, meter in self.meters.items():
             if (series := came.get(signal)) is not None:
                 self.changes += meter.take(series, now)
             elif meter.latest is not None and now - meter.latest > SILENT_S:
-                self._meters[signal], self.changes = Meter(meter.samples), self.changes + 1
+                self.meters[signal], self.changes = Meter(meter.samples), self.changes + 1
         self.armed = _latest(self.armed, came.get(Signal.ARMED))
         self.thrust = _latest(self.thrust, came.get(Signal.THRUST_SETPOINT))
         if not self._scale_believed and (force := came.get(Signal.SPECIFIC_FORCE)) is not None:
@@ -174,25 +174,21 @@ class Streams:
             self.scale_doubt = scale_doubt(profile, gravity_of(felt[None, :]))
             self._scale_believed, self._weighed = not self.scale_doubt, []
 
-    def meter(self, signal: Signal) -> Meter:
-        """The meter of a signal."""
-        return self._meters.get(signal) or Meter()
-
     @property
     def gyro(self) -> Meter:
         """The gyro's meter."""
-        return self._meters[Signal.BODY_RATE]
+        return self.meters[Signal.BODY_RATE]
 
     def rate_hz(self, signal: Signal, now: Instant) -> float | None:
         """Measured rate of a stream; 0 if it does not come, None while it is being measured."""
-        meter = self.meter(signal)
+        meter = self.meters[signal]
         if meter.latest is None:
             return 0.0 if self.began is not None and now - self.began > SILENT_S else None
         return meter.rate_hz if meter.periods_s else None
 
     def missing(self, signals: Container[Signal]) -> Signal | None:
         """The first of some signals that is metered and does not come."""
-        return next((signal for signal in METERED if signal in signals and self._meters[signal].latest is None), None)
+        return next((signal for signal in METERED if signal in signals and self.meters[signal].latest is None), None)
 
     def on_ground(self, gate: GateSpec) -> Hindrance | None:
         """Why the vehicle does not count as flying; None if it does, or never says."""
@@ -235,7 +231,7 @@ class Demand:
 
     def lack(self, streams: Streams, *, judging: bool) -> Hindrance | None:
         """What the streams lack, None if they will do. judging: a rate must be wrong twice before it has changed."""
-        gyro, setpoint = streams.gyro, streams.meter(Signal.ATTITUDE_SETPOINT)
+        gyro, setpoint = streams.gyro, streams.meters[Signal.ATTITUDE_SETPOINT]
         if gyro.latest is None:
             return Hindrance(Reason.NO_GYRO)
         if streams.scale_doubt:
@@ -371,7 +367,7 @@ class Negotiation:
         if rate_hz and ask.at is not None and now - ask.at >= HELD_S and "rate" not in ask.told:
             ask.told.add("rate")
             answer = "gave no clear answer" if ask.answer is None else f"answered {_result(ask.answer)}"
-            steady_hz = streams.meter(want.signal).steady_hz or rate_hz
+            steady_hz = streams.meters[want.signal].steady_hz or rate_hz
             came = f"the autopilot {answer}, {steady_hz:.1f} Hz come"
             return [Note(f"{name}: asked for {want.ask_hz:g} Hz, {came}")]
         return []
