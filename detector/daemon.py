@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from detector.component import HEALTH, Handled, Requests, Sender
 from detector.config import Settings
-from detector.fitting import FittingJob, ProcessFitter
+from detector.fitting import ProcessFitter
 from detector.fleet import Fleet, Turn
 from detector.flights import Flights
 from detector.guard import Guard
@@ -367,7 +367,7 @@ class Daemon:
             case Learn():
                 airframe = self._airframe or Airframe(name=f"vehicle {sysid}")
                 airframe = replace(airframe, name=self._settings.name or airframe.name)
-                self._fitter.begin(FittingJob(sysid, airframe, effect, self._settings.accept))
+                self._fitter.begin(sysid, airframe, effect, self._settings.accept)
             case Baseline():
                 self._reporter.save(sysid, effect)
             case Change():

@@ -6,7 +6,6 @@ import signal
 import threading
 import time
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
@@ -22,32 +21,25 @@ LIMIT_S = 300.0  # longer than any fit takes on a small companion computer (our 
 NICENESS = 10  # the receive loop comes first
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FittingJob:
-    """One vehicle's healthy flight."""
+def fit_baseline(vehicle: int, airframe: Airframe, flight: Learn, accept: bool) -> FitOutcome:
+    """Make a baseline here and now, as `mavdiag identify` does by default.
 
-    vehicle: int  # system id
-    airframe: Airframe  # what is known of it; its name is the one that the baseline gets
-    flight: Learn
-    accept: bool = False  # a baseline of grade D is taken, too
-
-
-def fit_baseline(job: FittingJob) -> FitOutcome:
-    """Make a baseline here and now, as `mavdiag identify` does by default."""
+    airframe: what is known of the vehicle, with the baseline's name. accept: a baseline of grade D is taken, too.
+    """
     # Imported by the process that fits, not by the daemon: it brings the identification with it.
     from mavdiag.learning import LearnOptions, learn
     from mavdiag.learning.suspicions import accepted
 
     created = datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
-    named, flight = f"vehicle {job.vehicle}, live, {created}", job.flight
+    named = f"vehicle {vehicle}, live, {created}"
     log = Log(named, "", flight.profile, flight.telemetry, time.time_ns(), parameters=dict(flight.parameters))
     try:
-        baseline = learn([log], LearnOptions(airframe=job.airframe), created=created)
-        if not job.accept:
+        baseline = learn([log], LearnOptions(airframe=airframe), created=created)
+        if not accept:
             baseline = accepted(baseline, "accept = true")
     except MavdiagError as error:
         return str(error)
-    provenance = baseline.provenance.model_copy(update={"vehicle": job.vehicle})
+    provenance = baseline.provenance.model_copy(update={"vehicle": vehicle})
     return sealed(baseline.model_copy(update={"provenance": provenance}))
 
 
@@ -55,7 +47,7 @@ def _work(link: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to both processes, but is the daemon's business
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     os.nice(NICENESS)
-    link.send(fit_baseline(link.recv()))
+    link.send(fit_baseline(*link.recv()))
 
 
 class ProcessFitter:
@@ -73,9 +65,9 @@ class ProcessFitter:
         self._thread = ThreadPoolExecutor(1, "fitting")
         self._thread.submit(int)  # it begins with the daemon: to start a thread in flight may fail
 
-    def begin(self, job: FittingJob) -> None:
-        """Start on a job, or put it behind the present one."""
-        self._fits.append((job.vehicle, self._thread.submit(self._fit, job)))
+    def begin(self, vehicle: int, airframe: Airframe, flight: Learn, accept: bool = False) -> None:
+        """Start on a vehicle's healthy flight, or put it behind the present one. The others as in `fit_baseline`."""
+        self._fits.append((vehicle, self._thread.submit(self._fit, (vehicle, airframe, flight, accept))))
 
     def poll(self) -> list[tuple[int, FitOutcome]]:
         """Outcomes since the last call, by system id. A job that takes too long has failed."""
@@ -93,7 +85,7 @@ class ProcessFitter:
             if (process := self._process) is not None:
                 process.terminate()
 
-    def _fit(self, job: FittingJob) -> FitOutcome:
+    def _fit(self, job: tuple[int, Airframe, Learn, bool]) -> FitOutcome:
         context = multiprocessing.get_context("spawn")
         link, end = context.Pipe()
         process = context.Process(target=_work, args=(end,), daemon=True)

@@ -12,13 +12,13 @@ from memory_port import MemoryEndpoint, memory_pair
 
 from detector.config import Settings
 from detector.daemon import Daemon, Host
-from detector.fitting import FittingJob, ProcessFitter
+from detector.fitting import ProcessFitter
 from detector.flights import Flights
 from detector.hooks import Hook
 from detector.journal import Journal, Recorder
 from detector.metrics import Metrics
 from detector.notify import Notifier
-from detector.values import FitOutcome
+from detector.values import FitOutcome, Learn
 from detector.web.feed import Feed
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import Baseline
@@ -64,12 +64,12 @@ class FakeFitter(ProcessFitter):
 
     def __init__(self, outcome: FitOutcome | None = None) -> None:
         self.outcome = outcome  # without the thread of the real one
-        self.jobs: list[FittingJob] = []
+        self.begun: list[int] = []
         self._looks: list[tuple[int, int]] = []
 
-    def begin(self, job: FittingJob) -> None:
-        self.jobs.append(job)
-        self._looks.append((2, job.vehicle))
+    def begin(self, vehicle: int, airframe: Airframe, flight: Learn, accept: bool = False) -> None:
+        self.begun.append(vehicle)
+        self._looks.append((2, vehicle))
 
     def poll(self) -> list[tuple[int, FitOutcome]]:
         self._looks = [(looks - 1, vehicle) for looks, vehicle in self._looks]

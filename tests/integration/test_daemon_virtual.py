@@ -79,7 +79,7 @@ def test_two_vehicles_on_one_link_have_a_session_each(benches: Benches, tmp_path
     settings = Settings(connect=UDP_IN, learn=5.0, save=tmp_path / "b.json")
     bench = benches(settings, MadeVehicle(1), MadeVehicle(2), fitter=fitter)
     bench.run(12.0)
-    assert {job.vehicle for job in fitter.jobs} == {1, 2}
+    assert set(fitter.begun) == {1, 2}
     frames = received(bench.far)
     beats = of(frames, MessageId.HEARTBEAT)
     assert {beat.sysid for beat in beats} == {1, 2}

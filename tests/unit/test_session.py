@@ -24,7 +24,7 @@ from web_page import wait_for
 from detector.alerts import label_of
 from detector.check import plan
 from detector.config import SessionSettings, Settings
-from detector.fitting import FittingJob, ProcessFitter
+from detector.fitting import ProcessFitter
 from detector.fleet import Fleet, Vehicle
 from detector.judging import Judge, chain_for
 from detector.session import FITS, Session
@@ -401,7 +401,7 @@ def test_only_its_own_process_is_ended() -> None:
     other.start()
     try:
         fitter = ProcessFitter()
-        fitter.begin(FittingJob(1, Airframe(), Learn("qdrone2", Telemetry())))
+        fitter.begin(1, Airframe(), Learn("qdrone2", Telemetry()))
         wait_for(lambda: len(multiprocessing.active_children()) == 2, "the fit begins")
         [own] = [one for one in multiprocessing.active_children() if one.pid != other.pid]
         fitter.close()
@@ -420,7 +420,7 @@ def test_a_fitting_process_that_fails_is_an_outcome_and_nothing_waits_for_it(wha
         raise OSError(f"begun {begun.wait(10.0)}")
 
     with patch(what, fail):
-        fitter.begin(FittingJob(1, Airframe(), Learn("qdrone2", Telemetry())))
+        fitter.begin(1, Airframe(), Learn("qdrone2", Telemetry()))
         begun.set()
         [(vehicle, outcome)] = wait_for(fitter.poll, "it fails")
     fitter.close()
