@@ -96,8 +96,8 @@ def _publish(host: str, port: int, topic: str, line: bytes) -> None:
 class Courier:
     """Delivers lines from a thread of its own. name: in messages. warn: told when delivery fails, and works again."""
 
-    def __init__(self, name: str, deliver: Deliver, warn: Callable[[str], None], pause_s: float = PAUSE_S) -> None:
-        self.name, self._deliver, self._warn, self._pause_s = name, deliver, warn, pause_s
+    def __init__(self, name: str, deliver: Deliver, warn: Callable[[str], None]) -> None:
+        self.name, self._deliver, self._warn = name, deliver, warn
         self._lines: queue.Queue[bytes] = queue.Queue(QUEUED)
         self._news: deque[str] = deque(maxlen=QUEUED)
         self._failing = False
@@ -150,7 +150,7 @@ class Courier:
                     self._news.append(f"{self.name}: delivers again; {self.lost} lines were lost so far")
                 self._failing = False
                 return
-            if number < TRIES - 1 and self._stopping.wait(self._pause_s * 2**number):
+            if number < TRIES - 1 and self._stopping.wait(PAUSE_S * 2**number):
                 return  # `close` has counted it
         self._lose(reason)
 
@@ -171,8 +171,8 @@ def close_all(couriers: Iterable[Courier]) -> None:
 class Hook(Courier):
     """Takes lines as a journal does, and delivers those about alerts. Raises UsageError as `parse_hook`."""
 
-    def __init__(self, text: str, warn: Callable[[str], None], pause_s: float = PAUSE_S) -> None:
-        super().__init__(f"hook {text}", parse_hook(text), warn, pause_s)
+    def __init__(self, text: str, warn: Callable[[str], None]) -> None:
+        super().__init__(f"hook {text}", parse_hook(text), warn)
 
     def write(self, text: str, urgent: bool = False) -> None:
         """Queue a line that is about an alert; others are not for hooks."""

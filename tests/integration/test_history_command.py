@@ -224,11 +224,10 @@ def test_a_flight_with_a_reboot_is_kept_and_a_vehicle_lost_in_flight_begins_no_o
     assert (put.call_count, opened.call_count) == (2, 0)
 
 
+@patch("detector.hooks.PAUSE_S", 0.0)
 def test_a_flight_that_cannot_be_added_is_told_and_added_by_the_next_start(tmp_path: Path) -> None:
     missing, folder, said = tmp_path / "missing" / "history.sqlite", tmp_path / "flights", list[str]()
-    with patch("detector.hooks.PAUSE_S", 0.0):
-        flights = Flights(str(missing), folder, said.append)
-    flights._pause_s = 0.0
+    flights = Flights(str(missing), folder, said.append)
     bench = watching(baseline_for(), flights, MadeVehicle(3))
     with patch("detector.flights.subprocess.run", in_this_process):
         flown(bench, 12.0)

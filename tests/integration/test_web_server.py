@@ -16,6 +16,7 @@ from contextlib import closing, contextmanager
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 from types import SimpleNamespace
+from unittest.mock import patch
 
 import pytest
 from made_session import baseline_for
@@ -207,11 +208,8 @@ def server() -> Iterator[Server]:
 @contextmanager
 def hooked(address: str) -> Iterator[tuple[Hook, list[str]]]:
     said: list[str] = []
-    hook = Hook(address, said.append, pause_s=0.01)
-    try:
+    with patch("detector.hooks.PAUSE_S", 0.01), closing(Hook(address, said.append)) as hook:
         yield hook, said
-    finally:
-        hook.close()
 
 
 def test_an_alert_of_the_daemon_reaches_a_web_server(server: Server) -> None:
