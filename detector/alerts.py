@@ -238,7 +238,7 @@ class NamedValues:
 
     NAMES = ("PF_RES", "PF_MARG", "PF_FSD", "PF_FML")  # at most 10 bytes: NAMED_VALUE_FLOAT.name
 
-    def __init__(self, period_s: float = 0.2) -> None:
+    def __init__(self, period_s: float) -> None:
         self._period_s = period_s
         self._sent: Instant | None = None
         self._residual = self._fsd_s = 0.0

@@ -168,17 +168,12 @@ def chain_for(baseline: Baseline, settings: SessionSettings, started_ns: int) ->
     if key not in _CHAINS:
         if len(_CHAINS) >= CHAINS_MOST:
             del _CHAINS[next(iter(_CHAINS))]
-        _CHAINS[key] = baseline, _chain(baseline, settings, started_ns)
+        chain, suspect = chain_of(rescaled(baseline, settings.threshold_scale), started_ns), set(settings.suspect)
+        slots = tuple(replace(slot, decides=slot.decides and not _names(slot) & suspect) for slot in chain.slots)
+        if chain.slots and not any(slot.decides for slot in slots):
+            raise BaselineError("suspect names every monitor that decides")
+        _CHAINS[key] = baseline, replace(chain, decision=replace(chain.decision, slots=slots))
     return _CHAINS[key][1]
-
-
-def _chain(baseline: Baseline, settings: SessionSettings, started_ns: int) -> Chain:
-    chain = chain_of(rescaled(baseline, settings.threshold_scale), started_ns)
-    suspect = set(settings.suspect)
-    slots = tuple(replace(slot, decides=slot.decides and not _names(slot) & suspect) for slot in chain.slots)
-    if chain.slots and not any(slot.decides for slot in slots):
-        raise BaselineError("suspect names every monitor that decides")
-    return replace(chain, decision=replace(chain.decision, slots=slots))
 
 
 def records_of(output: ChainOutput, whose: str) -> tuple[Record, ...]:
