@@ -91,13 +91,6 @@ class TlogContent:
         return tuple(note for note in (damaged, cut if self.trailing_bytes else "") if note)
 
 
-class VehicleLog(NamedTuple):
-    """One vehicle of a file, by its system id, and its flight."""
-
-    vehicle: int
-    log: Log
-
-
 def tlog_record(time_us: int, frame: bytes) -> bytes:
     """The bytes of one record, for a recorder. time_us: since 1970."""
     return time_us.to_bytes(STAMP_BYTES, "big") + frame
@@ -137,11 +130,11 @@ def read_tlog(path: Path, vehicle: int | None = None, profile: str | None = None
     None recognises it by the messages. Raises InputError if the file is not such a log, is damaged beyond use, holds no
     multirotor or several, or does not show its profile; UsageError for an unknown profile.
     """
-    return next(_flights(path, profile, vehicle, several=False)).log
+    return next(_flights(path, profile, vehicle, several=False))
 
 
-def vehicle_stream(path: str | Path, profile: str | None = None) -> Iterator[VehicleLog]:
-    """The flight of each vehicle in a telemetry log, one after the other, by rising system id.
+def vehicle_stream(path: str | Path, profile: str | None = None) -> Iterator[Log]:
+    """The flight of each vehicle in a telemetry log, one after the other, by rising system id (`Log.vehicle`).
 
     A vehicle is what sends the heartbeats of a multirotor's autopilot. The logs are as `read_tlog` gives them, but
     their names end with the vehicle where there are several: "flight.tlog vehicle 7". profile: name of the link profile
@@ -151,7 +144,7 @@ def vehicle_stream(path: str | Path, profile: str | None = None) -> Iterator[Veh
     return _flights(Path(path), profile, None, several=True)
 
 
-def _flights(path: Path, profile: str | None, vehicle: int | None, *, several: bool) -> Iterator[VehicleLog]:
+def _flights(path: Path, profile: str | None, vehicle: int | None, *, several: bool) -> Iterator[Log]:
     digest = hashlib.sha256()
     content = decode_tlog(_summed(path, digest.update))
     if content.records == 0:
@@ -180,7 +173,7 @@ def _flights(path: Path, profile: str | None, vehicle: int | None, *, several: b
         telemetry = joined(_converted(path, pieces, content.latest, sysid, decoder, state))
         name, notes = path.name if len(sysids) == 1 else f"{path.name} vehicle {sysid}", (*content.notes, *left_out)
         named = (name, digest.hexdigest(), known.name, telemetry, system.heard_ns, notes, parameters)
-        yield VehicleLog(sysid, Log(*named, mav_type=types.get(sysid), vehicle=sysid))
+        yield Log(*named, mav_type=types.get(sysid), vehicle=sysid)
 
 
 def _chosen(path: Path, content: TlogContent, vehicle: int | None, *, several: bool) -> list[int]:

@@ -539,16 +539,16 @@ def test_each_vehicle_of_several_is_read_in_one_pass(tmp_path: Path) -> None:
     path = written(tmp_path / "flight.tlog", b"".join((companion, *mixed, *ours[len(theirs) :])))
     found = list(vehicle_stream(path))
     assert [one.vehicle for one in found] == [1, 7]
-    assert [one.log.name for one in found] == ["flight.tlog vehicle 1", "flight.tlog vehicle 7"]
-    for sysid, log in found:
-        alone = read_tlog(path, vehicle=sysid)
+    assert [one.name for one in found] == ["flight.tlog vehicle 1", "flight.tlog vehicle 7"]
+    for log in found:
+        alone = read_tlog(path, vehicle=log.vehicle)
         assert (log.sha256, log.profile, log.started_ns) == (alone.sha256, alone.profile, alone.started_ns)
         for series in alone.telemetry:
             assert np.array_equal(log[series.signal].values, series.values)
             assert np.array_equal(log[series.signal].t_ns, series.t_ns)
-    assert len(found[1].log[Signal.BODY_RATE]) == 160
+    assert len(found[1][Signal.BODY_RATE]) == 160
     (alone_in_file,) = vehicle_stream(str(written(tmp_path / "flight.tlog", b"".join(ours))))
-    assert alone_in_file.log.name == "flight.tlog"
+    assert alone_in_file.name == "flight.tlog"
     with pytest.raises(InputError, match="no autopilot's heartbeat"):
         list(vehicle_stream(written(tmp_path / "flight.tlog", companion)))
 
