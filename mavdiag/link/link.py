@@ -9,7 +9,6 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import replace
-from types import TracebackType
 
 from mavdiag.errors import InputError
 from mavdiag.link.ports import Endpoint, open_endpoint
@@ -131,7 +130,7 @@ class Link(AbstractContextManager["Link"]):
         log = Log(name, "", stream.profile.name, telemetry, notes=notes, parameters=stream.parameters)
         return replace(log, mav_type=stream.mav_type)
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _absent(self) -> str:

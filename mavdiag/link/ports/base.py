@@ -8,7 +8,6 @@ from abc import abstractmethod
 from collections.abc import Callable, Collection, Iterable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
-from types import TracebackType
 from typing import TypeAlias
 
 from mavdiag.errors import LinkError
@@ -115,7 +114,7 @@ class Endpoint(AbstractContextManager["Endpoint"]):
     def _drain(self) -> Datagrams:
         """Take what is there without waiting; reconnect if it is time to."""
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 
