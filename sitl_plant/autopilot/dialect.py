@@ -76,18 +76,6 @@ _CM = 0.01
 
 
 @dataclass(frozen=True, slots=True)
-class Esc:
-    """How ESCs tell their speed: each in its turn once in a frame, in whole steps; some frames are lost (estimates).
-
-    The steps are those of BLHeli's and KISS's telemetry: eRPM/100, of motors with 14 poles.
-    """
-
-    frame_s: float = 0.1  # SERVO_BLH_TRATE
-    step_rpm: float = 100.0 / 7.0
-    lost: float = 0.02  # the last value is told again
-
-
-@dataclass(frozen=True, slots=True)
 class Dialect:
     """What one kind of autopilot sends, and how it takes commands.
 
@@ -121,7 +109,7 @@ class Dialect:
     unasked: Mapping[int, float] = field(default_factory=dict)
     whole_ms: bool = False  # intervals are cut to whole milliseconds
     attained_hz: float | None = None  # a rate above this is granted, and comes at this one; None if every rate is met
-    esc: Esc | None = None  # None: the speeds are told as they are
+    esc: bool = False  # each ESC tells its speed in its turn once in a frame; else the speeds are told as they are
     sysid: int = 1  # system id of the vehicle, 1 to 255
 
     def rates_hz(self, rate_hz: float | None, rotors: int = 4) -> dict[int, float]:
@@ -254,7 +242,7 @@ COPTER = Dialect(
     streams=_STREAMS,
     unasked={MessageId.HEARTBEAT: 1.0},  # SRn_... are 0 on a fresh link
     whole_ms=True,
-    esc=Esc(),
+    esc=True,
 )
 _PX4_PARAMETERS = (
     Parameter("MPC_XY_CRUISE", 1.0, Kind.REAL32, (0.1, SPEED_MOST)),
@@ -287,7 +275,7 @@ PX4 = Dialect(
     ),
     unasked=_PX4_UNASKED,
     attained_hz=165.0,  # 200 Hz asked gave 160 to 170
-    esc=Esc(),
+    esc=True,
 )
 # Whoever does not know an autopilot guesses: mavsdk takes its custom_mode for PX4's, pymavlink for ArduPilot's. The
 # numbers do not meet, so both are understood. mavsdk sends it altitudes above home. All its parameters are floats.
@@ -305,7 +293,6 @@ GENERIC = replace(
     streams=_STREAMS,
     unasked={},
     attained_hz=None,
-    esc=None,
 )
 _COUNTS = replace(GENERIC, profile=_SPEC, others=_messages(_SPEC, MessageId.HIGHRES_IMU))
 

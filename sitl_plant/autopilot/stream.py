@@ -20,7 +20,7 @@ from mavdiag.link.codec import layout_of
 from mavdiag.link.messages import MavType, MessageId, ModeFlag
 from mavdiag.telemetry import FloatArray, IntArray
 from mavdiag.units import NS_PER_MS, NS_PER_US, RPM, G
-from sitl_plant.autopilot.dialect import ESC_GROUP, Dialect, Esc
+from sitl_plant.autopilot.dialect import ESC_GROUP, Dialect
 from sitl_plant.autopilot.schedule import Schedule
 from sitl_plant.physics.parameters import STEP_S
 from sitl_plant.physics.sensors import butterworth
@@ -52,6 +52,9 @@ _EAST_M = _NORTH_M * math.cos(math.radians(HOME_LAT_DEG))
 _HOME = (round(HOME_LAT_DEG * 1e7), round(HOME_LON_DEG * 1e7), round(HOME_ALT_M * 1e3))
 # ArduPilot, AP_InertialSensor.h: ACCEL_VIBE_FLOOR_FILT_HZ, ACCEL_VIBE_FILT_HZ, ACCEL_CLIP_THRESH_MSS
 VIBE_FLOOR_HZ, VIBE_HZ, CLIP_M_S2 = 5.0, 2.0, 15.5 * G
+# How ESCs tell their speed: SERVO_BLH_TRATE, eRPM/100 of motors with 14 poles (BLHeli, KISS), and the share of frames
+# that are lost: the last value is told again (estimates).
+ESC_FRAME_NS, ESC_STEP, ESC_LOST = 100 * NS_PER_MS, 100.0 / 7.0 * RPM, 0.02
 
 
 def to_global(position: FloatArray) -> FloatArray:
@@ -118,23 +121,23 @@ def _first_order(corner_hz: float) -> _Filter:
 
 
 class _EscFrames:
-    def __init__(self, esc: Esc, seed: int) -> None:
-        self._esc, self._seed = esc, seed
+    def __init__(self, seed: int) -> None:
+        self._seed = seed
         self._told, self._frames = np.empty(0), np.empty((1, 0), dtype=np.int64)
         self._losses = list[np.random.Generator]()
 
     def step(self, t_ns: IntArray, speed: FloatArray) -> FloatArray:
-        period_ns, rotors = round(self._esc.frame_s * 1e9), speed.shape[1]
-        frames = (t_ns[:, None] - period_ns * np.arange(rotors) // rotors) // period_ns
+        rotors = speed.shape[1]
+        frames = (t_ns[:, None] - ESC_FRAME_NS * np.arange(rotors) // rotors) // ESC_FRAME_NS
         if not self._losses:
             self._losses = [np.random.default_rng([self._seed, rotor]) for rotor in range(rotors)]
             self._told, self._frames = np.full(rotors, np.nan), frames[:1] - 1
         fresh = np.diff(frames, axis=0, prepend=self._frames) > 0
-        told, step = np.empty(speed.shape), self._esc.step_rpm * RPM
+        told = np.empty(speed.shape)
         for rotor, losses in enumerate(self._losses):
             came = np.flatnonzero(fresh[:, rotor])
-            came = came[losses.random(len(came)) >= self._esc.lost]
-            values = np.append(self._told[rotor], step * np.rint(speed[came, rotor] / step))
+            came = came[losses.random(len(came)) >= ESC_LOST]
+            values = np.append(self._told[rotor], ESC_STEP * np.rint(speed[came, rotor] / ESC_STEP))
             told[:, rotor] = values[np.searchsorted(came, np.arange(len(t_ns)), side="right")]
         self._told, self._frames = told[-1], frames[-1:]
         return told
@@ -157,7 +160,7 @@ class ImuFilters:
         self._clippings = 0
         self._delay_ns = round(dialect.send_delay_s * 1e9)
         self._delays = np.random.default_rng(seed)
-        self._escs = None if dialect.esc is None else _EscFrames(dialect.esc, seed)
+        self._escs = _EscFrames(seed) if dialect.esc else None
 
     def step(self, samples: PlantSamples) -> FilteredSamples:
         """The next block (n >= 1)."""

@@ -34,7 +34,7 @@ from mavdiag.rows.gate import GateSpec
 from mavdiag.rows.rates import RateSpec
 from mavdiag.telemetry import FloatArray, Log, Signal, Telemetry
 from mavdiag.units import G
-from sitl_plant.autopilot.dialect import DIALECTS, Esc, dialect_named
+from sitl_plant.autopilot.dialect import DIALECTS, dialect_named
 from sitl_plant.autopilot.stream import ImuFilters, _EscFrames, messages_due, records
 from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry
 from sitl_plant.emulator import recorded
@@ -315,14 +315,15 @@ def values_of(frames: Sequence[Frame], msgid: int, *names: str) -> FloatArray:
     return np.array([[one.value(name) for name in names] for one in frames if one.msgid == msgid], float)
 
 
-def test_an_esc_tells_its_speed_in_its_turn_in_steps_and_again_what_was_lost() -> None:
+def test_an_esc_tells_its_speed_in_its_turn_in_steps_and_again_what_was_lost(monkeypatch: pytest.MonkeyPatch) -> None:
     """However the flight is cut."""
-    samples, esc = unbalanced(), Esc(lost=0.2)
-    whole = _EscFrames(esc, 5).step(samples.t_ns, samples.rotor_speed)
-    cut, at = _EscFrames(esc, 5), [0, 7, 8, 250, N]
+    monkeypatch.setattr("sitl_plant.autopilot.stream.ESC_LOST", 0.2)
+    samples = unbalanced()
+    whole = _EscFrames(5).step(samples.t_ns, samples.rotor_speed)
+    cut, at = _EscFrames(5), [0, 7, 8, 250, N]
     parts = [cut.step(samples.t_ns[a:b], samples.rotor_speed[a:b]) for a, b in itertools.pairwise(at)]
     np.testing.assert_array_equal(np.concatenate(parts), whole)
-    step = esc.step_rpm * np.pi / 30
+    step = 100 / 7 * np.pi / 30
     for rotor, told in enumerate(whole.T):
         changes = np.flatnonzero(np.diff(told, prepend=np.nan) != 0)
         changes = changes[np.isfinite(told[changes])][1:]  # the first one was told before
@@ -346,7 +347,7 @@ def test_the_converter_reads_back_what_the_plant_measured(profile: str) -> None:
         (Signal.ACTUATOR, samples.duty, 0.5e-3 * 1.001),  # whole microseconds of 1000
         (Signal.VOLTAGE, samples.battery_v[:, None], 0.5e-3 * 1.001),  # whole millivolts
     ]
-    if DIALECTS[profile].esc is None:
+    if not DIALECTS[profile].esc:
         expected += [(Signal.ROTOR_SPEED, samples.rotor_speed, np.pi / 60 * 1.001)]  # whole rpm
     if table.imu_corner_hz is None:
         unit = (table.gyro_unit, table.accel_unit) if table.imu is MessageId.RAW_IMU else (4e-7, 4e-6)
