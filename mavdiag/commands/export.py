@@ -14,6 +14,8 @@ from mavdiag.judging import judge_in_full
 from mavdiag.logs import read_log
 from mavdiag.logs.csv_columns import load_column_map
 from mavdiag.storage import replacing, write_atomically
+from mavdiag.telemetry import frame_of
+from mavdiag.units import NS_PER_S
 
 KINDS = {"mcap": rb"\x89MCAP", "parquet": b"PAR1"}  # how the files begin
 
@@ -59,7 +61,7 @@ def export(
     if mcap:
         flight.write_mcap(output, found, topics, judged.verdict.changes if judged else ())
     else:
-        table = flight.table_of(topics)
+        table = frame_of([(topic.name, topic.t_ns / NS_PER_S, topic.names, topic.values) for topic in topics])
         with replacing(output) as file:
             table.to_csv(file) if csv else table.to_parquet(file)
     say(str(judged.verdict) if judged else f"{found.name}: signals alone; name a --baseline to judge it")

@@ -10,7 +10,7 @@ import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -18,12 +18,9 @@ from mavdiag.decision.diagnosis import Change, Stage
 from mavdiag.errors import check_installed
 from mavdiag.judging import JudgedFlight
 from mavdiag.storage import replacing
-from mavdiag.telemetry import FloatArray, IntArray, Log, frame_of
+from mavdiag.telemetry import FloatArray, IntArray, Log
 from mavdiag.traces import rate_traces, slot_traces
 from mavdiag.units import NS_PER_S
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 _NUMBER = {"type": ["number", "null"]}
 _TEXT, _WHOLE = {"type": "string"}, {"type": "integer"}
@@ -65,11 +62,6 @@ def topics_of(log: Log, judged: JudgedFlight | None = None) -> Iterator[Topic]:
         names = ("value", "threshold", "ratio", "judged", *(f"rotor_{n + 1}" for n in range(rotors.shape[1])))
         values = np.column_stack((value, threshold, value / slot.threshold, found.valid, rotors))
         yield Topic(name, names, found.t_ns, values)
-
-
-def table_of(topics: Sequence[Topic]) -> "DataFrame":
-    """All of it over time, a column "topic/figure" each. Raises UsageError without pandas."""
-    return frame_of([(topic.name, topic.t_ns / NS_PER_S, topic.names, topic.values) for topic in topics])
 
 
 def write_mcap(path: Path, log: Log, topics: Sequence[Topic], changes: Sequence[Change]) -> None:
