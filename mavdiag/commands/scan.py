@@ -24,7 +24,6 @@ from mavdiag.baseline import Baseline
 from mavdiag.commandline import say
 from mavdiag.commands import options as opt
 from mavdiag.commands.progress import shown, sizes_of
-from mavdiag.errors import UsageError
 from mavdiag.judging import JUDGED_SHARE, Verdict, exit_code
 from mavdiag.logs import check_times
 
@@ -42,7 +41,9 @@ def scan(
     judged_share: Annotated[
         float, Option(min=0.0, max=1.0, metavar="SHARE", help="Of the flown time, judged: less is not healthy.")
     ] = JUDGED_SHARE,
-    windows: Annotated[float | None, Option(metavar="S", min=1.0, help="Judge windows of this length, too.")] = None,
+    windows: Annotated[
+        float | None, Option(metavar="S", min=1.0, max=LONGEST_S, help="Judge windows of this length, too.")
+    ] = None,
     as_one: Annotated[
         bool, Option("--together", help="These flights flew one set of propellers: has a rotor changed?")
     ] = False,
@@ -62,8 +63,6 @@ def scan(
     """
     reference = Baseline.load(baseline)
     check_times(from_s, to_s)
-    if windows is not None and not windows <= LONGEST_S:
-        raise UsageError(f"--windows {windows:g}: give a length of at most {LONGEST_S:g} s")
     found, mapped = opt.find_logs(logs, columns)
     read = (baseline, columns, *(log.path for log in found.logs))
     if csv is not None:

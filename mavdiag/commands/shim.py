@@ -2,6 +2,7 @@
 
 import time
 from dataclasses import asdict
+from functools import partial
 from typing import Annotated
 
 import typer
@@ -13,6 +14,8 @@ from mavdiag.link.ports import Endpoint, open_endpoint, wait
 from mavdiag.link.shim import Impairment, Shim
 
 LOOK_S = 0.001  # how often it looks whether a message is due
+PROBABILITY = partial(Option, metavar="P", min=0.0, max=1.0)
+SPAN = partial(Option, metavar="MS", min=0.0, max=60_000.0)
 
 
 class Passage:
@@ -44,13 +47,13 @@ class Passage:
 def shim(
     vehicle: Annotated[str, Argument(metavar="IN", help="The vehicle's side: udpin:127.0.0.1:14550, ...")],
     daemon: Annotated[str, Argument(metavar="OUT", help="The other side: udpout:127.0.0.1:14551, ...")],
-    loss: Annotated[float, Option(metavar="P", help="Probability that a message is lost.")] = 0.0,
-    jitter: Annotated[float, Option(metavar="MS", help="The delay varies by so much, up and down.")] = 0.0,
-    reorder: Annotated[int, Option(metavar="DEPTH", help="Messages that may overtake one.")] = 0,
-    duplicate: Annotated[float, Option(metavar="P", help="Probability that a message comes twice.")] = 0.0,
-    corrupt: Annotated[float, Option(metavar="P", help="Probability that one bit of it is changed.")] = 0.0,
-    rate: Annotated[float | None, Option(metavar="BYTES_PER_S", help="What the line carries.")] = None,
-    delay: Annotated[float, Option(metavar="MS", help="How long a message takes.")] = 0.0,
+    loss: Annotated[float, PROBABILITY(help="Probability that a message is lost.")] = 0.0,
+    jitter: Annotated[float, SPAN(help="The delay varies by so much, up and down.")] = 0.0,
+    reorder: Annotated[int, Option(metavar="DEPTH", min=0, max=1000, help="Messages that may overtake one.")] = 0,
+    duplicate: Annotated[float, PROBABILITY(help="Probability that a message comes twice.")] = 0.0,
+    corrupt: Annotated[float, PROBABILITY(help="Probability that one bit of it is changed.")] = 0.0,
+    rate: Annotated[float | None, Option(metavar="BYTES_PER_S", min=1.0, help="What the line carries.")] = None,
+    delay: Annotated[float, SPAN(help="How long a message takes.")] = 0.0,
     seed: Annotated[int, Option(metavar="N", help="The same seed gives the same fate to the same messages.")] = 0,
     both: Annotated[bool, Option("--both", help="Impair the way back to the vehicle as well.")] = False,
 ) -> None:

@@ -8,7 +8,6 @@ import heapq
 import random
 from dataclasses import dataclass
 
-from mavdiag.errors import UsageError
 from mavdiag.units import NS_PER_MS, NS_PER_S
 
 HOLD_NS = 250 * NS_PER_MS  # a message that waits to be overtaken waits no longer than this (our choice)
@@ -17,7 +16,7 @@ QUEUE_NS = NS_PER_S  # what would wait longer for the line is thrown away (our c
 
 @dataclass(frozen=True, slots=True)
 class Impairment:
-    """What a link does to messages. Raises UsageError, naming the field, for an impossible value."""
+    """What a link does to messages."""
 
     loss: float = 0.0  # probability, as of the next two
     jitter_s: float = 0.0  # a message takes delay_s give or take it, or from 0 to twice jitter_s if that is more
@@ -26,18 +25,6 @@ class Impairment:
     corrupt: float = 0.0
     rate: float | None = None  # bytes a second; None for no limit
     delay_s: float = 0.0
-
-    def __post_init__(self) -> None:
-        for name in ("loss", "duplicate", "corrupt"):
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                raise UsageError(f"--{name} {getattr(self, name):g}: write a probability from 0 to 1, as 0.05 for 5 %")
-        for name, span_s in (("delay", self.delay_s), ("jitter", self.jitter_s)):
-            if not 0.0 <= span_s <= 60.0:
-                raise UsageError(f"--{name} {1e3 * span_s:g}: write milliseconds, 0 to 60000")
-        if not 0 <= self.reorder <= 1000:
-            raise UsageError(f"--reorder {self.reorder}: write a number of messages, 0 to 1000")
-        if self.rate is not None and not 1.0 <= self.rate <= 1e12:
-            raise UsageError(f"--rate {self.rate:g}: write bytes a second, at least 1 (57600 baud are 5760)")
 
 
 @dataclass(slots=True)

@@ -107,10 +107,10 @@ REFUSED = [
     ("sitl-plant record -o t.tlog --truth a.tlog", "a.tlog: holds something else"),
     ("sitl-plant record -o baseline.json", "baseline.json: holds a flight log or a baseline"),
     (f"{CAMPAIGN} -o baseline.json", "baseline.json: holds something else than results"),
-    (f"{SCAN} --windows 0.5", "Invalid value for '--windows'"),
-    (f"{SCAN} --windows inf", "give a length of at most"),
+    *((f"{SCAN} --windows {wrong}", "Invalid value for '--windows'") for wrong in ("0.5", "inf")),
     (f"{SCAN} --scheduler tcp://127.0.0.1:1", "no Dask scheduler at tcp://127.0.0.1:1"),
     *((f"mavdiag demo --{wrong}", "Invalid value for '--") for wrong in ("rotor 5", "seed -1", "duration nan")),
+    *((f"mavdiag shim a b --{wrong}", "Invalid value for '--") for wrong in ("loss nan", "delay -1", "rate 0")),
 ]
 
 
