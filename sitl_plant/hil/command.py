@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, get_args
+from typing import Annotated
 
 import typer
 from typer import Option
@@ -85,13 +85,10 @@ def hil_options(
     seed: Annotated[int, Option(help="Equal seeds and equal commands give equal flights.")] = 0,
     duration: Annotated[float | None, Option(metavar="S", help="Flight time.  [default: run until stopped]")] = None,
     truth: options.TruthFile = None,
-    print_parameters: Annotated[str | None, Option(metavar="ardupilot|px4", help=_PRINTED)] = None,
+    print_parameters: Annotated[AutopilotName | None, Option(help=_PRINTED)] = None,
 ) -> HilOptions:
     """Check the options and put them together. Raises UsageError for what cannot be flown."""
     options.check_times(fault, onset, duration)
-    wanted = next((name for name in get_args(AutopilotName) if name == print_parameters), None)
-    if wanted != print_parameters:
-        raise UsageError(f"no parameters for {print_parameters!r}: give ardupilot or px4")
     kind = vehicle_from(vehicle)
     if not 1 <= rotor <= len(kind.rotors):
         raise UsageError(f"rotor must be 1 to {len(kind.rotors)}, not {rotor}")
@@ -109,7 +106,7 @@ def hil_options(
         seed=seed,
     )
     later = () if fault is None else (fault_injection(fault, rotor, onset, phenomenology),)
-    return HilOptions(config, later, math.inf if duration is None else duration, truth, wanted)
+    return HilOptions(config, later, math.inf if duration is None else duration, truth, print_parameters)
 
 
 @options.with_options(hil_options)

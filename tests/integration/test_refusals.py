@@ -38,7 +38,7 @@ REFUSED = [
     ("sitl-plant record", "-o"),
     ("sitl-plant serve-ardupilot --listen tcpin:127.0.0.1:9002", "write udpin:HOST:PORT"),
     ("sitl-plant serve-ardupilot --fault F1/SV1 --rotor 7", "rotor must be 1 to 4"),
-    ("sitl-plant serve-ardupilot --print-parameters betaflight", "give ardupilot or px4"),
+    ("sitl-plant serve-ardupilot --print-parameters betaflight", "is not one of 'ardupilot', 'px4'"),
     ("sitl-plant serve-px4 --rate 5", "rate"),
     ("sitl-plant serve-hil /dev/no-such-tty,921600", "no such device"),
     (f"{CAMPAIGN} --conditions wind=strong", "wind"),
