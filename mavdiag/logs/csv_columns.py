@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from mavdiag.errors import InputError
 from mavdiag.logs.log import LogKind, read_bytes, recorded, sha256_of
 from mavdiag.rows.gate import GateSpec
-from mavdiag.storage import TOML_BYTES, parse_toml, read_text
+from mavdiag.storage import read_toml
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Log, Signal, Telemetry
 from mavdiag.units import DEG, NS_PER_MS, NS_PER_S, NS_PER_US, RPM, G
 
@@ -102,30 +102,25 @@ class ColumnMap(_Part):
         return self
 
 
-def load_column_map(path: Path) -> ColumnMap:
-    """A column map from its file. Raises InputError, naming file and field."""
-    return parse_column_map(read_text(path, TOML_BYTES), str(path))
-
-
 def is_csv(path: Path) -> bool:
     """Whether a file of a folder may be such a recording, by its name: its content does not tell."""
     return path.suffix.lower() in SUFFIXES
 
 
-def parse_column_map(text: str, name: str = "column map") -> ColumnMap:
-    """A column map from the text of its file. Raises InputError, naming the field."""
-    content = parse_toml(text, name)
+def load_column_map(path: Path) -> ColumnMap:
+    """A column map from its file. Raises InputError, naming file and field."""
+    content = read_toml(path)
     tables = {key: content[key] for key in ("time", "file") if key in content}
     signals = {signal: content[signal] for signal in Signal if signal in content}
     if unknown := sorted(set(content) - set(tables) - set(signals)):
-        raise InputError(f"{name}: {unknown[0]}: no such table; there are time, file, {', '.join(Signal)}")
+        raise InputError(f"{path}: {unknown[0]}: no such table; there are time, file, {', '.join(Signal)}")
     try:
         return ColumnMap.model_validate({**tables, "signals": signals})
     except ValidationError as error:
         first = error.errors()[0]
         place = "".join(f"{part}: " for part in first["loc"] if part != "signals")
         words = first["msg"].removeprefix("Value error, ")
-        raise InputError(f"{name}: {place}{words[0].lower()}{words[1:]}") from error
+        raise InputError(f"{path}: {place}{words[0].lower()}{words[1:]}") from error
 
 
 def read_csv(path: Path, columns: ColumnMap) -> Log:

@@ -39,7 +39,7 @@ from mavdiag.link.messages import MavType, MessageId
 from mavdiag.link.signing import Signing
 from mavdiag.logs import airframe_name_for, gate_for, kinds, read_log
 from mavdiag.logs.crazyflie import read_crazyflie
-from mavdiag.logs.csv_columns import load_column_map, parse_column_map
+from mavdiag.logs.csv_columns import ColumnMap, load_column_map
 from mavdiag.logs.dataflash import read_dataflash
 from mavdiag.logs.log import LogKind, sha256_of
 from mavdiag.logs.tlog import decode_tlog, read_tlog, tlog_record, vehicle_stream
@@ -123,9 +123,13 @@ unit = "percent"
 """
 
 
+def mapped(folder: Path, text: str = MAP) -> ColumnMap:
+    return load_column_map(written(folder / "map.toml", text))
+
+
 def test_units_and_directions_become_si_and_frd(tmp_path: Path) -> None:
     path = written(tmp_path / "flight.csv", "m2,time,p,q,r,m1\n40,1000,90,180,-90,10\n50,1010,0,0,0,20\n")
-    log = read_log(path, columns=parse_column_map(MAP))
+    log = read_log(path, columns=mapped(tmp_path))
     np.testing.assert_allclose(log[Signal.BODY_RATE].values[0], [np.pi / 2, -np.pi, -np.pi / 2])
     assert log[Signal.BODY_RATE].t_ns.tolist() == [1_000_000_000, 1_010_000_000]
     np.testing.assert_allclose(log[Signal.ACTUATOR].values, [[0.1, 0.4], [0.2, 0.5]])
@@ -135,7 +139,7 @@ def test_units_and_directions_become_si_and_frd(tmp_path: Path) -> None:
 def test_a_file_without_header_or_time_is_read_by_number_and_rate(tmp_path: Path) -> None:
     path = written(tmp_path / "flight.csv", "comment\n1;2;3\n4;5;6\n7;8;9\n")
     text = '[time]\nrate_hz = 200\n[body_rate]\ncolumns = ["1", "2", "3"]\nunit = "rad/s"\n'
-    log = read_log(path, columns=parse_column_map(text + '[file]\ndelimiter = ";"\nskip_lines = 1\nheader = false\n'))
+    log = read_log(path, columns=mapped(tmp_path, text + '[file]\ndelimiter = ";"\nskip_lines = 1\nheader = false\n'))
     np.testing.assert_allclose(log[Signal.BODY_RATE].values, [[1, 2, 3], [4, 5, 6], [7, 8, 9]])
     assert np.diff(log[Signal.BODY_RATE].t_ns).tolist() == [5_000_000, 5_000_000]
 
@@ -143,7 +147,7 @@ def test_a_file_without_header_or_time_is_read_by_number_and_rate(tmp_path: Path
 def test_a_counter_of_32_bits_that_begins_anew_goes_on(tmp_path: Path) -> None:
     path = written(tmp_path / "flight.csv", "t,p\n4294967290,1\n2,1\n14,1\n")
     text = '[time]\ncolumn = "t"\nunit = "us"\n[body_rate]\ncolumns = ["p", "p", "p"]\nunit = "rad/s"\n'
-    assert np.diff(read_log(path, columns=parse_column_map(text))[Signal.BODY_RATE].t_ns).tolist() == [8_000, 12_000]
+    assert np.diff(read_log(path, columns=mapped(tmp_path, text))[Signal.BODY_RATE].t_ns).tolist() == [8_000, 12_000]
 
 
 @pytest.mark.parametrize(
@@ -160,11 +164,10 @@ def test_a_counter_of_32_bits_that_begins_anew_goes_on(tmp_path: Path) -> None:
     ],
 )
 def test_a_wrong_map_names_its_field(text: str, words: str, tmp_path: Path) -> None:
-    (path := tmp_path / "map.toml").write_text(text)
     with pytest.raises(InputError, match=words) as caught:
-        load_column_map(path)
+        mapped(tmp_path, text)
     assert "\n" not in str(caught.value)
-    assert str(caught.value).startswith(str(path))
+    assert str(caught.value).startswith(f"{tmp_path}/map.toml: ")
 
 
 @pytest.mark.parametrize(
@@ -179,7 +182,7 @@ def test_a_wrong_map_names_its_field(text: str, words: str, tmp_path: Path) -> N
 )
 def test_a_file_that_the_map_does_not_fit_is_one_line(content: str, words: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=words) as caught:
-        read_log(written(tmp_path / "flight.csv", content), columns=parse_column_map(MAP))
+        read_log(written(tmp_path / "flight.csv", content), columns=mapped(tmp_path))
     assert "\n" not in str(caught.value)
 
 
@@ -196,7 +199,7 @@ def test_what_is_no_sound_csv_file_is_one_line(tmp_path: Path, text: str) -> Non
     path = written(tmp_path / "flight.csv", text)
     tracemalloc.start()
     with pytest.raises(InputError) as caught:
-        read_log(path, columns=parse_column_map(MAP))
+        read_log(path, columns=mapped(tmp_path))
     _, most = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert most < 4 * len(text) + 20_000_000
