@@ -4,13 +4,15 @@ import importlib.util
 import json
 from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import ModuleType
 
 from made_history import records
+from shared_data import written
 
 from mavdiag.history.warn import overview_of
 from mavdiag.judging import JudgedFlight, LogVerdict, Verdict
-from mavdiag.report.campaign import parse_campaign
+from mavdiag.report.campaign import read_campaign
 from mavdiag.report.page import FlightReport, campaign_page, flight_report, flights_page, history_page
 from mavdiag.telemetry import Log
 
@@ -46,7 +48,9 @@ def pages() -> dict[str, str]:
     made = {name: flights_page(flights, learnt, "qdrone2.json", CREATED) for name, flights in shown.items()}
     wear = [overview_of(name, records([0.3 + grows * k for k in range(20)]), ()) for name, grows in GROWS.items()]
     made["history"] = history_page(wear, CREATED)
-    return made | {"campaign": campaign_page(parse_campaign(results()), "campaign.jsonl", CREATED)}
+    with TemporaryDirectory() as folder:
+        campaign = read_campaign(written(Path(folder) / "campaign.jsonl", results()))
+    return made | {"campaign": campaign_page(campaign, "campaign.jsonl", CREATED)}
 
 
 def results(other: str = "F1/SV3") -> str:

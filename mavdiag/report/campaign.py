@@ -113,17 +113,9 @@ class Roc:
 
 
 def read_campaign(path: Path) -> Campaign:
-    """Read a file of results. Raises InputError, naming it, if it is none."""
+    """Read a file of results. Raises InputError, naming it, if there is no flight among them."""
     with open_regular(path, MOST_BYTES) as file:
         text = file.read().decode(errors="replace")  # a line that is no UTF-8 is no result, as any other
-    try:
-        return parse_campaign(text)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
-
-
-def parse_campaign(text: str) -> Campaign:
-    """Read the results in a text of lines. Raises InputError if there is no flight among them."""
     flights, unread = dict[str, CampaignFlight](), 0
     for line in filter(str.strip, text.splitlines()):
         try:
@@ -135,7 +127,7 @@ def parse_campaign(text: str) -> Campaign:
             flights[found.key] = found
     if not flights:
         what = "is a campaign's summary" if '"detection"' in text else "holds no flight of a campaign"
-        raise InputError(f"{what}; {REMEDY}")
+        raise InputError(f"{path}: {what}; {REMEDY}")
     return Campaign(tuple(flights.values()), unread)
 
 
