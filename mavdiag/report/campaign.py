@@ -132,13 +132,11 @@ def read_campaign(path: Path) -> Campaign:
 
 
 def roc_of(healthy: Sequence[float], damaged: Sequence[float]) -> Roc:
-    """The curve of these scores. Raises InputError if one of both is empty.
+    """The curve of these scores, neither of them empty.
 
     >>> roc_of([0.2, 0.9], [0.5, 3.0]).area
     0.75
     """
-    if not healthy or not damaged:
-        raise InputError("a curve needs the scores of healthy and of damaged flights")
     limits, both = np.unique([*healthy, *damaged])[::-1], (np.asarray(healthy), np.asarray(damaged))
     false_share, true_share = (np.append(0.0, (scores >= limits[:, None]).mean(axis=1)) for scores in both)
     at_one = (float(np.mean(both[0] > 1.0)), float(np.mean(both[1] > 1.0)))
