@@ -246,7 +246,7 @@ class Session:
             self._sticks_asked = now
             self._effects += self._negotiation.ask_for(MessageId.RC_CHANNELS, STICKS_HZ, now)
         due = telling(own.autopilot, received.parameters, learns=self.baseline is None)
-        self._reading, names = self._reading.step(due, received.parameters, now)
+        names = self._reading.step(due, received.parameters, now)
         self._effects += [AskParameters(names)] if names else []
 
     def _demand(self, received: Received) -> Demand:

@@ -5,8 +5,9 @@ gives a message without a request is from ArduPilot's stream groups (GCS_MAVLink
 MAVLink modes (mavlink_main.cpp) and the logging masks of both. Sans-I/O: what came and `now` in, frames to send out.
 """
 
+from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from mavdiag.link.codec import Encoder
 from mavdiag.link.messages import Autopilot, Component, MavCmd, MavType, MessageId
@@ -170,22 +171,21 @@ def telling(autopilot: int, known: Mapping[str, float], *, learns: bool = True) 
     return ("FRAME_CLASS", "FRAME_TYPE", *more) if learns else ()
 
 
-@dataclass(frozen=True, slots=True)
 class Reading:
     """Which parameters were asked for so far: how often each name, and when some were last."""
 
-    tries: Mapping[str, int] = field(default_factory=dict)
-    at: Instant | None = None
+    def __init__(self) -> None:
+        self._tries, self._at = Counter[str](), Instant(0)
 
-    def step(self, names: Iterable[str], known: Mapping[str, float], now: Instant) -> tuple["Reading", tuple[str, ...]]:
+    def step(self, names: Iterable[str], known: Collection[str], now: Instant) -> tuple[str, ...]:
         """Which of these to ask for now, those with the fewest tries first. known: the parameters that came so far."""
-        if self.at is not None and now - self.at < _PAUSE_S:
-            return self, ()
-        tries = {name: self.tries.get(name, 0) for name in names if name not in known}
-        due = [name for name in sorted(tries, key=lambda name: tries[name]) if tries[name] < _NAME_TRIES][:_BATCH]
-        if not due:
-            return self, ()
-        return Reading({**self.tries, **{name: tries[name] + 1 for name in due}}, now), tuple(due)
+        if self._tries and now - self._at < _PAUSE_S:
+            return ()
+        left = (name for name in names if name not in known and self._tries[name] < _NAME_TRIES)
+        due = sorted(left, key=lambda name: self._tries[name])[:_BATCH]
+        self._tries.update(due)
+        self._at = now if due else self._at
+        return tuple(due)
 
 
 class Companion(Encoder):
@@ -227,8 +227,7 @@ class Asker(Companion):
 
     def read_all(self, autopilot: int, known: Mapping[str, float], now: Instant) -> list[bytes]:
         """The parameters that tell rotors and filter, until they are known. known: those that came."""
-        self._reading, names = self._reading.step(telling(autopilot, known), known, now)
-        return [self.read(name) for name in names]
+        return [self.read(name) for name in self._reading.step(telling(autopilot, known), known, now)]
 
     def stream(self, wants: Sequence[Want], rates_hz: Mapping[int, float], now: Instant) -> list[bytes]:
         """The streams that do not come, or too slowly. rates_hz: of what comes, by message."""
