@@ -9,6 +9,7 @@ Frame. The firmware's body frame is x forward, y left, z up, but its attitude is
 `controller.cmd_yaw`, which the firmware negates. Raw sensor axes (gyro.*, acc.*) change the signs of y and z.
 """
 
+import hashlib
 import re
 import struct
 import zlib
@@ -17,18 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from mavdiag.errors import InputError
-from mavdiag.logs.log import (
-    MAX_TIME_US,
-    LogKind,
-    Row,
-    Table,
-    gather,
-    read_bytes,
-    read_rows,
-    scaled,
-    sha256_of,
-    usable_as,
-)
+from mavdiag.logs.log import MAX_TIME_US, LogKind, Row, Table, gather, read_bytes, read_rows, scaled, usable_as
 from mavdiag.rows.gate import GateSpec
 from mavdiag.telemetry import IntArray, Log, Signal, Telemetry
 from mavdiag.units import DEG, NS_PER_US, G
@@ -84,7 +74,7 @@ def read_crazyflie(path: Path) -> Log:
         series = tuple(read_rows(_ROWS, _tables(content)).values())
         if not series:
             raise InputError("it carries no signal that is known here; log the `controller` group")
-    return Log(path.name, sha256_of(data), PROFILE, Telemetry(series))
+    return Log(path.name, hashlib.sha256(data).hexdigest(), PROFILE, Telemetry(series))
 
 
 def _tables(content: bytes) -> list[Table]:

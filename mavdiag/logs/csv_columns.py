@@ -5,6 +5,7 @@ It has a table for each signal (columns, with a minus where one turns the other 
 """
 
 import csv
+import hashlib
 import io
 import math
 import re
@@ -16,7 +17,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from mavdiag.errors import InputError
-from mavdiag.logs.log import LogKind, read_bytes, recorded, sha256_of
+from mavdiag.logs.log import LogKind, read_bytes, recorded
 from mavdiag.rows.gate import GateSpec
 from mavdiag.storage import read_toml
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Log, Signal, Telemetry
@@ -156,7 +157,8 @@ def read_csv(path: Path, columns: ColumnMap) -> Log:
     if left_out > (1 - DAMAGED_SHARE) * len(table):
         raise InputError(f"{path}: most rows have no gyro; check the column map")
     notes = (f"{left_out} of {len(table)} rows have no time or no gyro and were left out",) if left_out else ()
-    return Log(path.name, sha256_of(data), PROFILE, Telemetry(tuple(series.values())), notes=notes, motor_order=True)
+    digest = hashlib.sha256(data).hexdigest()
+    return Log(path.name, digest, PROFILE, Telemetry(tuple(series.values())), notes=notes, motor_order=True)
 
 
 def _table(path: Path, text: str, columns: ColumnMap) -> FloatArray:

@@ -12,6 +12,7 @@ BODY_RATE is the unfiltered gyro of the first IMU (rows 27 to 29), which the the
 (rows 5 to 7) is a profile of its own. ARMED is true in the commander's state 5 only.
 """
 
+import hashlib
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
@@ -20,7 +21,7 @@ import numpy as np
 
 from mavdiag.airframe.layout import layout_named
 from mavdiag.errors import InputError, UsageError
-from mavdiag.logs.log import LogKind, read_bytes, recorded, sha256_of, usable_as
+from mavdiag.logs.log import LogKind, read_bytes, recorded, usable_as
 from mavdiag.logs.matlab import is_mat, read_matrices
 from mavdiag.rows.gate import GateSpec
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Log, Signal, Telemetry
@@ -156,7 +157,7 @@ def read_dronepropa(path: Path, profile: str | None = None) -> Log:
     if profile == FILTERED_PROFILE:
         values[Signal.BODY_RATE] = recording.rates["filtered"]
     series = tuple(recorded(signal, recording.t_ns, found) for signal, found in values.items())
-    return Log(path.name, sha256_of(data), profile or PROFILE, Telemetry(series), notes=notes)
+    return Log(path.name, hashlib.sha256(data).hexdigest(), profile or PROFILE, Telemetry(series), notes=notes)
 
 
 def _check(recording: _Recording, values: Mapping[Signal, FloatArray]) -> tuple[str, ...]:

@@ -1,6 +1,5 @@
 """What the readers of logs share: kinds of logs, bytes out of a file, signals out of tables of records."""
 
-import hashlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -125,11 +124,6 @@ def recorded(signal: Signal, t_ns: IntArray, values: FloatArray) -> Series:
     """
     series = Series(signal, t_ns, t_ns, values.reshape(len(t_ns), -1) if values.ndim == 1 else values)
     return series if (t_ns[1:] >= t_ns[:-1]).all() else series.where(well_dated(t_ns))
-
-
-def sha256_of(data: bytes) -> str:
-    """The SHA-256 of a file's content, hexadecimal: how a baseline names the flights it was fitted to."""
-    return hashlib.sha256(data).hexdigest()
 
 
 @contextmanager

@@ -4,6 +4,7 @@ PX4 logs SI units in FRD. Where a topic says when its sample was taken, that tim
 Damaged parts are skipped as pyulog skips them.
 """
 
+import hashlib
 import io
 import struct
 from collections import Counter
@@ -19,17 +20,7 @@ from pyulog import ULog, ULogException
 from mavdiag.errors import InputError
 from mavdiag.link.messages import px4_custom_mode
 from mavdiag.link.samples import DSHOT_FULL, LEAST_US, MOST_US, PULSE_LEAST_US, euler_angles, shows_dshot
-from mavdiag.logs.log import (
-    MAX_TIME_US,
-    RECORDED_GATE,
-    LogKind,
-    Row,
-    Table,
-    read_bytes,
-    read_rows,
-    sha256_of,
-    usable_as,
-)
+from mavdiag.logs.log import MAX_TIME_US, RECORDED_GATE, LogKind, Row, Table, read_bytes, read_rows, usable_as
 from mavdiag.telemetry import FloatArray, Log, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_US, RPM
 
@@ -148,7 +139,7 @@ def read_ulog(path: Path) -> Log:
     InputError for a file that is unreadable, of another kind, damaged beyond use, or without a known signal.
     """
     data = read_bytes(path)
-    digest = sha256_of(data)
+    digest = hashlib.sha256(data).hexdigest()
     with usable_as("ULog", path):
         content, parameters, notes = _content(data)
         del data
