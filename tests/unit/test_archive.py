@@ -45,17 +45,7 @@ from mavdiag.errors import InputError, UsageError
 from mavdiag.history.show import lines_of, overview_json
 from mavdiag.history.store import VERSION, address_of, open_history
 from mavdiag.history.trend import MEMORY, Sessions, Trend, changes_of, sessions_of, trend_of
-from mavdiag.history.warn import (
-    WATCHED,
-    Mark,
-    MarkKind,
-    Outlook,
-    overview_of,
-    review,
-    series_of,
-    stretches_of,
-    warned_at,
-)
+from mavdiag.history.warn import Mark, MarkKind, Outlook, overview_of, review, series_of, stretches_of, warned_at
 from mavdiag.judging import JudgedFlight, LogVerdict, Verdict, judge_in_full
 from mavdiag.monitors import BY_NAME
 from mavdiag.telemetry import FloatArray
@@ -515,7 +505,6 @@ def test_a_series_has_the_monitors_of_propellers_the_sessions_and_the_highest_th
     (stretch,) = stretches_of([record(n, 0.5 if n != 2 else None, t_ns=t) for n, t in enumerate(times)], ())
     found = series_of(stretch)
     assert [one.name for one in found] == ["fsd roll", "fsd pitch", "unbalance"]
-    assert "control_loss" not in WATCHED
     assert found[2].session.tolist() == [0, 0, 1, 2, 3]
     assert np.isnan(found[2].share[2])
     assert (found[0].share[0], found[2].share[0]) == (0.5, 0.5)
