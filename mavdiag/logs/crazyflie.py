@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from mavdiag.errors import InputError
-from mavdiag.logs.log import MAX_TIME_US, LogKind, Row, Table, gather, read_bytes, read_rows, scaled, usable_as
+from mavdiag.logs.log import MAX_TIME_US, LogKind, Row, Table, gather, read_bytes, read_rows, usable_as
 from mavdiag.rows.gate import GateSpec
 from mavdiag.telemetry import IntArray, Log, Signal, Telemetry
 from mavdiag.units import DEG, NS_PER_US, G
@@ -32,10 +32,9 @@ _VARIABLE = re.compile(r"(?P<name>.+)\((?P<code>[bBhHiIqQefd?])\)")
 
 
 def _row(signal: Signal, group: str, names: str, *factors: float) -> Row:
-    """names: of the variables of a group; "-" for a column that is not logged."""
-    return Row(
-        signal, "", tuple(None if name == "-" else f"{group}.{name}" for name in names.split()), scaled(*factors)
-    )
+    """names: of the variables of a group; "-" for a column that is not logged. factors: of each column, or of all."""
+    fields = tuple(None if name == "-" else f"{group}.{name}" for name in names.split())
+    return Row(signal, "", fields, lambda stored: stored * np.array(factors))
 
 
 # The first row of a signal whose variables are all in the log is taken. Rows that name gyro, acc, stateEstimate angles,

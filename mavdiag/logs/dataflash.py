@@ -26,18 +26,7 @@ from numpy.typing import NDArray
 from mavdiag.airframe.parameters import COPTER_MOTORS, output_functions
 from mavdiag.errors import InputError
 from mavdiag.jit import cached
-from mavdiag.logs.log import (
-    MAX_TIME_US,
-    RECORDED_GATE,
-    LogKind,
-    Row,
-    Table,
-    gather,
-    read_rows,
-    recorded,
-    scaled,
-    windows_of,
-)
+from mavdiag.logs.log import MAX_TIME_US, RECORDED_GATE, LogKind, Row, Table, gather, read_rows, recorded, windows_of
 from mavdiag.telemetry import Batch, BoolArray, FloatArray, IntArray, Log, Series, Signal, Telemetry
 from mavdiag.units import DEG, NS_PER_MS, NS_PER_S, NS_PER_US, RPM
 
@@ -244,7 +233,7 @@ _ROWS = (
     Row(Signal.HEIGHT, "CTUN", ("Alt",)),
     Row(Signal.HEIGHT, "BARO", ("Alt",)),
     Row(Signal.MODE, "MODE", ("Mode",)),
-    Row(Signal.COORDINATES, "POS", ("Lat", "Lng"), scaled(DEG)),
+    Row(Signal.COORDINATES, "POS", ("Lat", "Lng"), np.deg2rad),
     Row(Signal.VOLTAGE, "BAT", ("Volt",), integer_unit=CENTIVOLT),
     Row(Signal.VOLTAGE, "CURR", ("Volt",), integer_unit=CENTIVOLT),
 )

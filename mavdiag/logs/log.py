@@ -102,11 +102,6 @@ def read_rows(rows: Sequence[Row], tables: Iterable[Table]) -> dict[Signal, Seri
     return found
 
 
-def scaled(*factors: float) -> Conversion:
-    """Fields times a factor for each column, or one for all."""
-    return lambda stored: stored * np.array(factors)
-
-
 def gather(data: bytes, layout: np.dtype[np.void], starts: IntArray) -> NDArray[np.void]:
     """The records of one layout that start at these bytes, copied into an array (n,). Each must be whole."""
     size = layout.itemsize
