@@ -201,10 +201,13 @@ def messages_due(filtered: FilteredSamples, schedule: Schedule, dialect: Dialect
 def records(msgid: int, filtered: FilteredSamples, rows: IntArray, dialect: Dialect) -> tuple[IntArray, Record]:
     """The payloads of one message that is due at some rows of a block, and the row of each payload.
 
-    There are more payloads than rows where one message does not carry all rotors. Fields without a column are zero.
+    There are more payloads than rows where one message does not carry all rotors. Fields without a column are zero, but
+    for the time.
     """
-    built = _BUILDERS[msgid](_Due(filtered, rows, dialect))
-    columns = {name: np.asarray(column) for name, column in built.items()}
+    due = _Due(filtered, rows, dialect)
+    times: Columns = {"time_boot_ms": due.boot_ms, "time_usec": due.boot_us}
+    built = {name: times[name] for name in times if name in layout_of(msgid).names}
+    columns = {name: np.asarray(column) for name, column in {**built, **_BUILDERS[msgid](due)}.items()}
     dtype = _dtype(msgid, tuple((name, one.shape[1] if one.ndim == 2 else 1) for name, one in columns.items()))
     record = np.zeros(next(len(one) for one in columns.values() if one.ndim), dtype)
     for name, one in columns.items():
@@ -272,7 +275,7 @@ def _groups(values: FloatArray | IntArray) -> Any:
 
 def _home(due: _Due) -> Columns:
     latitude, longitude, altitude = _HOME
-    return {"time_usec": due.boot_us, "latitude": latitude, "longitude": longitude, "altitude": altitude}
+    return {"latitude": latitude, "longitude": longitude, "altitude": altitude}
 
 
 def _servo_output(due: _Due) -> Columns:
@@ -330,39 +333,26 @@ _BUILDERS: Mapping[int, Callable[[_Due], Columns]] = {
     },
     MessageId.EXTENDED_SYS_STATE: lambda due: {"landed_state": np.where(due.motors == FLYING, IN_AIR, ON_GROUND)},
     MessageId.RAW_IMU: lambda due: {
-        "time_usec": due.boot_us,
         "xacc": integers(due.accel / due.profile.accel_unit, 16),
         "xgyro": integers(due.gyro / due.profile.gyro_unit, 16),
     },
-    MessageId.HIGHRES_IMU: lambda due: {
-        "time_usec": due.boot_us,
-        "xacc": due.accel,
-        "xgyro": due.gyro,
-        "fields_updated": HIGHRES_FIELDS,
-    },
-    MessageId.ATTITUDE: lambda due: {"time_boot_ms": due.boot_ms, "roll": due.angles, "rollspeed": due.gyro},
-    MessageId.ATTITUDE_QUATERNION: lambda due: {
-        "time_boot_ms": due.boot_ms,
-        "q1": _quaternion(due.angles),
-        "rollspeed": due.gyro,
-    },
+    MessageId.HIGHRES_IMU: lambda due: {"xacc": due.accel, "xgyro": due.gyro, "fields_updated": HIGHRES_FIELDS},
+    MessageId.ATTITUDE: lambda due: {"roll": due.angles, "rollspeed": due.gyro},
+    MessageId.ATTITUDE_QUATERNION: lambda due: {"q1": _quaternion(due.angles), "rollspeed": due.gyro},
     MessageId.ATTITUDE_TARGET: lambda due: {
-        "time_boot_ms": due.boot_ms,
         "q": _quaternion(due.filtered.samples.setpoint[due.rows]),
         "body_roll_rate": due.filtered.samples.rate_setpoint[due.rows],
         "thrust": due.filtered.samples.thrust_setpoint[due.rows],
     },
     # the true position: motion capture gives it to a fraction of a millimetre
-    MessageId.LOCAL_POSITION_NED: lambda due: {"time_boot_ms": due.boot_ms, "x": due.position, "vx": due.velocity},
+    MessageId.LOCAL_POSITION_NED: lambda due: {"x": due.position, "vx": due.velocity},
     MessageId.GLOBAL_POSITION_INT: lambda due: {
-        "time_boot_ms": due.boot_ms,
         **due.place,
         "relative_alt": due.place["alt"] - _HOME[2],
         "vx": integers(100.0 * due.velocity, 16),
         "hdg": integers(100.0 * due.heading, 17) % 36_000,
     },
     MessageId.GPS_RAW_INT: lambda due: {
-        "time_usec": due.boot_us,
         **due.place,
         "vel": integers(100.0 * due.speed, 17),
         "cog": integers(100.0 * (np.degrees(np.arctan2(*due.velocity.T[1::-1])) % 360.0), 17) % 36_000,
@@ -383,13 +373,8 @@ _BUILDERS: Mapping[int, Callable[[_Due], Columns]] = {
     MessageId.GPS_GLOBAL_ORIGIN: _home,
     MessageId.BATTERY_STATUS: _battery,
     MessageId.SERVO_OUTPUT_RAW: _servo_output,
-    MessageId.ACTUATOR_OUTPUT_STATUS: lambda due: {
-        "time_usec": due.boot_us,
-        "active": due.duty.shape[1],
-        "actuator": due.outputs,
-    },
+    MessageId.ACTUATOR_OUTPUT_STATUS: lambda due: {"active": due.duty.shape[1], "actuator": due.outputs},
     MessageId.VIBRATION: lambda due: {
-        "time_usec": due.boot_us,
         "vibration_x": due.filtered.vibration[due.rows],
         "clipping_0": due.filtered.clippings[due.rows],
     },
