@@ -60,12 +60,8 @@ def fly(session: Session, conditions: Conditions, duration_s: float, injections:
     beside = rng.uniform(-PAYLOAD_OFFSET_M, PAYLOAD_OFFSET_M, 2)
     config = PlantConfig(
         airframe=session.airframe,
-        trajectory=manoeuvre.shape,
-        speed_m_s=manoeuvre.speed_m_s,
-        heading_rad=manoeuvre.heading_rad,
-        nose=manoeuvre.nose,
-        start="ground" if manoeuvre.takeoff else "hover",
-        landed_s=duration_s if manoeuvre.takeoff else None,
+        **manoeuvre,
+        landed_s=duration_s if "start" in manoeuvre else None,
         wind_m_s=conditions.wind_m_s,
         wind_towards_rad=float(rng.uniform(0.0, 2.0 * np.pi)),
         payload=Payload(conditions.payload_g * 1e-3, (float(beside[0]), float(beside[1]), PAYLOAD_BELOW_M)),

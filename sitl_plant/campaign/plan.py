@@ -109,36 +109,22 @@ def injections_of(
     return (Injection(cause, rotor, onset_s),)
 
 
-class Manoeuvre(NamedTuple):
-    """A named path; shape and nose as of `sitl_plant.physics.trajectory`."""
-
-    shape: str
-    speed_m_s: float = 0.5
-    heading_rad: float = 0.0
-    nose: str = "fixed"
-    takeoff: bool = False  # it begins and ends on the ground
-
-    def flown(self, duration_s: float) -> dict[str, Any]:
-        """What a `PlantConfig` says of it."""
-        form = {"trajectory": self.shape, "speed_m_s": self.speed_m_s, "heading_rad": self.heading_rad}
-        return {**form, "nose": self.nose, "start": "ground" if self.takeoff else "hover", "landed_s": duration_s}
-
-
-MANOEUVRES: Mapping[str, Manoeuvre] = {
-    "square": Manoeuvre("square"),  # T 5.2
-    "square-fast": Manoeuvre("square", speed_m_s=0.8),
-    "square-turned": Manoeuvre("square", heading_rad=math.pi / 4),
-    "hover": Manoeuvre("hover"),
-    "circle": Manoeuvre("circle"),
-    "figure8": Manoeuvre("figure8"),
-    "square-nose": Manoeuvre("square", nose="path"),
-    "circle-nose": Manoeuvre("circle", nose="path"),
-    "figure8-nose": Manoeuvre("figure8", nose="path"),
-    "hover-spin": Manoeuvre("hover", nose="spin"),
-    "square-spin": Manoeuvre("square", nose="spin"),
-    "square-takeoff": Manoeuvre("square", takeoff=True),
+#: Named paths, as a `PlantConfig` says them.
+MANOEUVRES: Mapping[str, Mapping[str, Any]] = {
+    "square": {"trajectory": "square"},  # T 5.2
+    "square-fast": {"trajectory": "square", "speed_m_s": 0.8},
+    "square-turned": {"trajectory": "square", "heading_rad": math.pi / 4},
+    "hover": {"trajectory": "hover"},
+    "circle": {"trajectory": "circle"},
+    "figure8": {"trajectory": "figure8"},
+    "square-nose": {"trajectory": "square", "nose": "path"},
+    "circle-nose": {"trajectory": "circle", "nose": "path"},
+    "figure8-nose": {"trajectory": "figure8", "nose": "path"},
+    "hover-spin": {"trajectory": "hover", "nose": "spin"},
+    "square-spin": {"trajectory": "square", "nose": "spin"},
+    "square-takeoff": {"trajectory": "square", "start": "ground"},
 }
-USUAL = tuple(name for name, path in MANOEUVRES.items() if path.nose == "fixed" and not path.takeoff)
+USUAL = tuple(name for name, path in MANOEUVRES.items() if not path.keys() & {"nose", "start"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -291,7 +277,7 @@ class Design:
             for link in self.link:
                 LinkSpec(parse_link(link).profile, row.rate_hz)
             for path in row.manoeuvres or self.manoeuvre:
-                flown = MANOEUVRES[path].flown(row.duration_s or self.duration_s)
+                flown = {**MANOEUVRES[path], "landed_s": row.duration_s or self.duration_s}
                 PlantConfig(vehicle=self.vehicle, outages_per_min=row.outages_per_min, **flown)
 
     @property

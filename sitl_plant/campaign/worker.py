@@ -148,7 +148,8 @@ def _config(airframe: Airframe, flown: Conditions, duration_s: float, rng: np.ra
     beside = rng.uniform(-PAYLOAD_OFFSET_M, PAYLOAD_OFFSET_M, 2).tolist()
     return PlantConfig(
         airframe=airframe,
-        **MANOEUVRES[flown.manoeuvre].flown(duration_s),
+        **MANOEUVRES[flown.manoeuvre],
+        landed_s=duration_s,
         wind_m_s=flown.wind_m_s,
         wind_towards_rad=float(rng.uniform(0.0, 2.0 * np.pi)),
         payload=Payload(flown.payload_g * 1e-3, (beside[0], beside[1], PAYLOAD_BELOW_M)),
