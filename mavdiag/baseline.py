@@ -14,12 +14,13 @@ from typing import Annotated, Any, Literal, TypeAlias
 
 from pydantic import (
     BaseModel,
+    BeforeValidator,
     ConfigDict,
     Field,
+    PlainSerializer,
     TypeAdapter,
     ValidationError,
     ValidatorFunctionWrapHandler,
-    field_serializer,
     field_validator,
     model_validator,
 )
@@ -102,33 +103,29 @@ class HealthyScores(Part):
         return self
 
 
-class MonitorEntry(Part):
-    """A monitor's fit, of the type that its class names, the threshold of its statistic, and what it follows from."""
-
-    spec: Any
-    threshold: Threshold
-    scores: HealthyScores = HealthyScores(maxima=(), spans_s=(), flights=())
-
-    @field_validator("spec", mode="before")
-    @classmethod
-    def _known(cls, value: Any) -> Any:
-        if is_dataclass(value):
-            return value
-        if not isinstance(value, dict) or not isinstance(value.get("kind"), str):
-            raise ValueError("a monitor's fit must be an object with a kind")
-        try:
-            return _adapter(value["kind"]).validate_python(value)
-        except MavdiagError as error:
-            raise ValueError(str(error)) from error
-
-    @field_serializer("spec")
-    def _plain(self, value: Any) -> Any:
-        return _adapter(value.kind).dump_python(value, mode="json")
-
-
 @cache
 def _adapter(kind: str) -> TypeAdapter[Any]:
     return TypeAdapter(by_name(kind).spec_type)
+
+
+def _spec(value: Any) -> Any:
+    if is_dataclass(value):
+        return value
+    if not isinstance(value, dict) or not isinstance(value.get("kind"), str):
+        raise ValueError("a monitor's fit must be an object with a kind")
+    return _adapter(value["kind"]).validate_python(value)
+
+
+def _plain(spec: Any) -> Any:
+    return _adapter(spec.kind).dump_python(spec, mode="json")
+
+
+class MonitorEntry(Part):
+    """A monitor's fit, of the type that its class names, the threshold of its statistic, and what it follows from."""
+
+    spec: Annotated[Any, BeforeValidator(_spec), PlainSerializer(_plain)]
+    threshold: Threshold
+    scores: HealthyScores = HealthyScores(maxima=(), spans_s=(), flights=())
 
 
 class Refusal(Part):
