@@ -14,6 +14,7 @@ from mavdiag.telemetry import FloatArray, Three
 from mavdiag.thresholds.heldout import Looks
 
 MEMORY_S = 0.35  # of the mean square of the command (METHOD section 4)
+REST_SHARE = 0.003  # of rows, believed at rest beside those that are flown (our choice)
 MIN_SHARE = 0.05  # of the mean square, left to k0 however busy the set-point (our choice)
 STEADY_RAD_S, STEADY_S = 0.2, 5.0  # about a hundredth of what one minute of squares tells (our choice)
 SCORINGS, RANK = 4, 1e-12  # of the variance law; from where on its two columns differ (our choices)
@@ -108,17 +109,19 @@ def updated(
 def variance_law(squares: FloatArray, busy: FloatArray) -> tuple[float, float]:
     """k0 and k1 >= 0 of var(r) = k0 + k1 busy, (n,) each, by maximum likelihood of Gaussian r.
 
-    Fisher scoring: least squares of r^2, weighted by 1/var^2 of the law before. k0 is at least 5 % of mean(r^2).
+    Fisher scoring: least squares of r^2, weighted by 1/var^2 of the law before. k0 is at least 5 % of mean(r^2). Of
+    1,000 rows 3 more are believed at rest, with that mean, for flight at one rate does not tell k0 from k1.
     """
     mean, size = float(squares.mean()), float(busy.mean())
     if size == 0.0:
         return mean, 0.0
-    x, k0, k1 = busy / size, mean, 0.0
+    x, k0, k1, rest = busy / size, mean, 0.0, REST_SHARE * len(busy)
     columns = np.stack((np.ones(len(x)), x, x * x, squares, x * squares))
     for _ in range(SCORINGS):
         # [ sum w    sum w x   ] [ k0 ]   [ sum w r^2   ]    x = busy/mean(busy). Two unknowns: if one is negative it is
         # [ sum w x  sum w x^2 ] [ k1 ] = [ sum w x r^2 ]    zero and the other is its own least-squares solution.
         weight, first, second, plain, product = (columns @ np.square(1.0 / (k0 + k1 * x))).tolist()
+        weight, plain = weight + rest / k0**2, plain + rest * mean / k0**2
         determinant = weight * second - first**2
         k1 = max(0.0, (weight * product - first * plain) / determinant) if determinant > RANK * weight * second else 0.0
         k0 = (plain - k1 * first) / weight

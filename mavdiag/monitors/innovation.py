@@ -19,7 +19,6 @@ from mavdiag.monitors.fitting import (
     need_commanded,
     of_each,
     smoothed,
-    steady_turn,
     three,
     variance_law,
 )
@@ -34,6 +33,7 @@ from mavdiag.telemetry import BoolArray, FloatArray, Signal, Three
 LAG = 4  # rows that A and B look back: METHOD section 5; 2 to 5 change no verdict on the recorded flights
 SETTLED = 3.0  # so many times the memory after a command what it made has passed (our choice)
 WINDOW_S = 1.0  # our choice; 0.7 to 1.3 s change no verdict
+SLOW_S = 0.032  # memory of the mean error: what changes below 5 Hz is no news, for gusts make it (our choice)
 MIN_ROWS = 500  # 60 a parameter (our choice)
 TRAIN_ROWS = 120_000  # more of it no longer changes the coefficients (our choice)
 SHIFTS = 0.06, 0.12  # of a rotor's frequency: its line moves so far with a load that counts as covered (our choice)
@@ -45,10 +45,10 @@ GLITCH_ROWS = 3 + LAG  # whose innovations three bad samples spoil
 LIMIT, MOST = 6.0, 1e6
 STILL_ROWS = 3  # equal ones after another say nothing new, be they rounded or repeated (our choice)
 # Places in the parameters, of each axis mean, k0, k1, a and b; and in the memory: good rows and equal rows in a row,
-# the mean square of each axis's command, and the mean of the innovations.
-WINDOW, ALPHA, AXES = range(3)
+# the mean square of each axis's command, its mean error, and the mean of the innovations.
+WINDOW, ALPHA, SLOW, AXES = range(4)
 MEAN_AT, K0, K1, A, B, OF_AXIS = 0, 1, 2, 3, 3 + LAG, 3 + 2 * LAG
-GOOD, SAME, BUSY, MEAN = 0, 1, 2, 5
+GOOD, SAME, BUSY, DRIFT, MEAN = 0, 1, 2, 5, 8
 
 Four: TypeAlias = tuple[float, float, float, float]
 
@@ -66,6 +66,7 @@ class InnovationSpec:
     k1: tuple[NotNegative, NotNegative, NotNegative]  # and per mean square of the commanded rate
     window_s: Positive = WINDOW_S
     memory_s: Positive = MEMORY_S  # of the command
+    slow_s: Positive = SLOW_S  # memory of the mean error
     delay_s: Delay = 0.0  # half the window of the rate filters
 
 
@@ -74,7 +75,8 @@ def _squares(par: Floats, mem: Floats, x: Floats, known: int) -> Floats:
     """z^2 of the three axes, (3, n)."""
     out = np.empty((3, x.shape[1] - known))
     for axis in range(3):
-        of, busy, to = par[AXES + axis * OF_AXIS : AXES + (axis + 1) * OF_AXIS], mem[BUSY + axis], out[axis]
+        of, to = par[AXES + axis * OF_AXIS : AXES + (axis + 1) * OF_AXIS], out[axis]
+        busy, drift = mem[BUSY + axis], mem[DRIFT + axis]
         u, y, mean, alpha = x[U + axis, known - LAG :], x[GYRO + axis, known - LAG :], of[MEAN_AT], par[ALPHA]
         for k in range(len(to)):
             e = y[k + LAG] - mean
@@ -82,8 +84,11 @@ def _squares(par: Floats, mem: Floats, x: Floats, known: int) -> Floats:
                 e += of[A + j] * (y[k + LAG - 1 - j] - mean) - of[B + j] * u[k + LAG - 1 - j]
             command = u[k + LAG] if math.isfinite(u[k + LAG]) else 0.0
             busy += alpha * (command * command - busy)
-            to[k] = min(e * e / (of[K0] + of[K1] * busy), MOST * MOST)
-        mem[BUSY + axis] = busy
+            z = (e - drift) / math.sqrt(of[K0] + of[K1] * busy)
+            to[k] = min(z * z, MOST * MOST)
+            if math.isfinite(z):
+                drift += par[SLOW] * (e - drift) * LIMIT / max(abs(z), LIMIT)
+        mem[BUSY + axis], mem[DRIFT + axis] = busy, drift
     return out
 
 
@@ -114,16 +119,18 @@ def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats
 class Innovation(Monitor[InnovationSpec]):
     """Statistic: rms of the normalised one-step prediction error over 1 s and three axes [times healthy rms].
 
-        e(t) = A(z^-1) y(t) - B(z^-1) u(t),    z = e / sqrt(k0 + k1 EMA_0.35s(u^2)),    s = sqrt(mean_1s,3 axes z^2)
+        e(t) = A(z^-1) y(t) - B(z^-1) u(t),    s = sqrt(mean_1s,3 axes z^2)
+        z(t) = (e(t) - EMA_32ms(e)(t - 1)) / sqrt(k0 + k1 EMA_0.35s(u^2)(t))
 
     u: commanded rate, y: raw gyro less its healthy bias, one ARX(4, 4, 1) by least squares for each axis. Of what z^2
     is beyond 36, in n rows of the second, the share 1 - 7/n counts: a glitch of three samples spoils 7 rows, and the
     statistic has no step that few flights could not foretell. A row whose gyro is that of the three before is left out.
+    Gusts move e below 5 Hz, and no calm flight tells how far: what the errors before had on the mean is no news.
     Without a filter in the stream A and B are fitted to the gyro as it is, and with what is fast in it shifted by 6 and
     12 % of a rotor's frequency: a folded line moves with a load, so that 15 % of payload at 100 Hz made 1.6 of 1.
 
     Warm-up: half an SG window, 4 rows and 1 s; after a gap of less than a second only the first two. Latency: half an
-    SG window and up to 1 s. False alarms: aerobatics and wind that the healthy flights lacked. Blind spots: a
+    SG window and up to 1 s. False alarms: aerobatics and storms that the healthy flights lacked. Blind spots: a
     weak rotor that is trimmed away (AUC 0.66 on 57 recorded propeller cuts); anything slow.
     """
 
@@ -163,14 +170,14 @@ class Innovation(Monitor[InnovationSpec]):
         speed = None if context.imu_corner_hz else context.airframe.hover_rad_s  # a filter leaves no line
         turns = [shift * speed * context.dt_s for shift in SHIFTS] if speed else []
         shifted = [_shifted(one, turn) for turn in turns for one in pairs]
-        steady = np.linalg.norm(steady_turn(context.dt_s)) * np.repeat([[-1.0], [1.0]], [LAG, LAG + 1], axis=0)
+        borders, slow = np.cumsum([one.valid.sum() for one in pairs])[:-1], forgetting(SLOW_S, context.dt_s)
         for axis in range(3):
             # [ -y(t-1) .. -y(t-4)   u(t-1) .. u(t-4)   y(t) ]'    (9, n), the valid rows of all flights
             stacked = np.concatenate([_regression(one, axis, float(mean[axis])) for one in pairs], axis=1)
             triangles = [triangle(_regression(one, axis, float(mean[axis])).T) for one in shifted]
-            followed = [steady.T] if axis < 2 else []  # yaw follows slowly
-            theta = _least_squares(triangle(np.concatenate((triangle(stacked.T), *triangles, *followed))))
-            squares = np.square(stacked[-1] - theta @ stacked[:-1])
+            theta = _least_squares(triangle(np.concatenate((triangle(stacked.T), *triangles))))
+            errors = np.split((stacked[-1] - theta @ stacked[:-1])[:, None], borders)
+            squares = np.concatenate([np.square((e - smoothed(e, slow)) / (1.0 - slow)) for e in errors])[:, 0]
             steps = np.abs(np.diff(stacked[-1]))
             if squares.mean() == 0.0 or not steps.any():
                 raise IdentificationError(CONSTANT)
@@ -195,7 +202,7 @@ class Innovation(Monitor[InnovationSpec]):
         spec, window = self.spec, window_rows(self.spec.window_s, dt_s)
         axes = zip(spec.mean, spec.k0, spec.k1, spec.a, spec.b, strict=True)
         each = [value for mean, k0, k1, a, b in axes for value in (mean, k0, k1, *a, *b)]
-        par = np.array([window, forgetting(spec.memory_s, dt_s), *each])
+        par = np.array([window, forgetting(spec.memory_s, dt_s), forgetting(spec.slow_s, dt_s), *each])
         return Begin(par, np.zeros(MEAN + mean_size(window, 3)), LAG)
 
 

@@ -93,8 +93,9 @@ def test_the_level_is_that_of_textbook_filters() -> None:
     for k in range(3):
         y, u = rows.block.rate[t, k] - spec.mean[k], rows.rates.u[:, k]
         e, alpha = lfilter([1, *spec.a[k]], [1], y) - lfilter([0, *spec.b[k]], [1], u), 1 - np.exp(-DT_S / 0.35)
-        busy = lfilter([alpha], [1, alpha - 1], u**2)
-        z.append(e / np.sqrt(spec.k0[k] + spec.k1[k] * busy))
+        busy, fast = lfilter([alpha], [1, alpha - 1], u**2), np.exp(-DT_S / 0.032)  # 5 Hz
+        drift = lfilter([0, 1 - fast], [1, -fast], np.append(np.zeros(4), e[4:]))
+        z.append((e - drift) / np.sqrt(spec.k0[k] + spec.k1[k] * busy))
     square = np.mean(np.square(z), axis=0)
     expected = [np.sqrt(square[i - 99 : i + 1].mean()) for i in range(103, len(t))]
     assert np.flatnonzero(found.valid).tolist() == list(range(103, len(t)))
@@ -108,12 +109,11 @@ def test_the_fit_is_least_squares_with_the_variance_law_of_its_errors() -> None:
         y, u = rows.block.rate[t, k] - spec.mean[k], rows.rates.u[:, k]
         n = len(y)
         phi = np.stack([*(-y[4 - i : n - i] for i in range(1, 5)), *(u[4 - i : n - i] for i in range(1, 5))], axis=1)
-        steady = 0.2 * np.sqrt(5.0 / DT_S) * (k < 2)  # of roll and pitch, followed for 5 s
-        told = np.vstack((phi, steady * np.repeat([-1.0, 1.0], 4)))
-        theta = np.linalg.lstsq(told, np.append(y[4:], steady), rcond=None)[0]
+        theta = np.linalg.lstsq(phi, y[4:], rcond=None)[0]
         np.testing.assert_allclose([*spec.a[k], *spec.b[k]], theta, rtol=1e-6, atol=1e-9)
-        alpha = 1 - np.exp(-DT_S / 0.35)
-        law = variance_law((y[4:] - phi @ theta) ** 2, lfilter([alpha], [1, alpha - 1], u**2)[4:])
+        alpha, fast, e = 1 - np.exp(-DT_S / 0.35), np.exp(-DT_S / 0.032), y[4:] - phi @ theta
+        news = e - lfilter([0, 1 - fast], [1, -fast], e)
+        law = variance_law(news**2, lfilter([alpha], [1, alpha - 1], u**2)[4:])
         assert (spec.k0[k], spec.k1[k]) == pytest.approx(law, rel=1e-3, abs=1e-9)
         assert spec.a[k][0] == pytest.approx(-0.7, abs=0.1)
 
@@ -134,6 +134,20 @@ def test_a_rotor_s_line_that_a_load_moves_is_not_leant_on() -> None:  # from 155
     light, loaded = (responding(6000, 2, bias=0.05 * np.sin(hz * turns)) for hz in (155, 168))
     (spec,) = Innovation.fit([[light]], example_context(hover_rad_s=310 * np.pi))
     assert float(np.median(read(Innovation(spec), loaded).value)) < 1.2
+
+
+def test_what_is_slow_is_no_news_however_calm_the_flights_that_taught() -> None:
+    spec, gust = fit([[responding(6000, 11)]]), 0.3 * np.sin(2 * np.pi * 0.5 * DT_S * np.arange(3000))[:, None]
+    calm, windy = (read(Innovation(spec), responding(3000, 12, bias=x * gust)).value[300:] for x in (0, 1))
+    assert np.median(windy) < 1.1 * np.median(calm)  # 2.1 times with the mean error in it
+
+
+def test_flight_at_one_rate_tells_no_variance_at_rest() -> None:
+    rng = np.random.default_rng(5)
+    for busy in (np.full(6000, 0.3), 0.3 * rng.uniform(0.99, 1.01, 6000)):
+        assert variance_law(rng.standard_normal(6000) ** 2, busy) == pytest.approx((1.0, 0.0), abs=0.15)
+    busy = rng.exponential(0.3, 60000)  # and flight at many does
+    assert variance_law((1 + 10 * busy) * rng.standard_normal(60000) ** 2, busy) == pytest.approx((1, 10), rel=0.1)
 
 
 def test_one_wild_sample_adds_no_more_than_its_bound() -> None:
