@@ -225,8 +225,10 @@ class Chain:
 
     def judge(self, state: ChainState, parts: Sequence[Rows | Border]) -> ChainOutput:
         """Take in rows that its front made."""
-        events, changes, pieces, likeness = list[Event](), list[Change](), list[Piece](), None
-        rows, judged, memory, now_ns = state.memory.rows, state.memory.judged, state.memory, None
+        events: list[Event] = []
+        changes: list[Change] = []
+        pieces: list[Piece] = []
+        rows, judged, memory, now_ns, likeness = state.memory.rows, state.memory.judged, state.memory, None, None
         for part in parts:
             if isinstance(part, Border):
                 left, ended = self.kernel.close(memory, part.t_ns), self.kernel.open_alarms(memory, ended=True)

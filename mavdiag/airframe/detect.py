@@ -167,7 +167,7 @@ def _thinned(block: Block) -> Block:
     if step < 2 or not len(block):
         return block
     rows = slice(-round(int(block.t_ns[0]) / (NS_PER_S * block.dt_s)) % step, None, step)  # however blocks are cut
-    return Block(block.segment, step * block.dt_s, block.t_ns[rows], block.x[:, rows].copy(), block.outputs)
+    return Block(block.segment, step * block.dt_s, block.t_ns[rows], block.x[:, rows], block.outputs)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -138,14 +138,15 @@ class DecisionSpec:
 
     def step(self, state: DecisionState, looked: Looked) -> Step:
         """Take looks that are whole."""
-        events, changes, told = list[Event](), list[Change](), list(looked.alarms)
-        left_alone, before, final = self._left_alone(state), None, len(looked.heights) - 1
+        events: list[Event] = []
+        changes: list[Change] = []
+        left_alone, before, final, told = self._left_alone(state), None, len(looked.heights) - 1, list(looked.alarms)
         for number, height in enumerate(looked.heights):
             if height == before is not None and not told and number < final:
                 continue  # it is left alone, as the look before was
             look, last = looked.first + number, number == final
             t_ns = look * LOOK_NS if looked.end_ns is None else looked.end_ns
-            alarms = list[Alarm]()
+            alarms: list[Alarm] = []
             while told and (told[0].look <= look or last):
                 alarms.append(told.pop(0))
             if not alarms and height is not None and height in left_alone:
@@ -340,7 +341,7 @@ def _since(state: DecisionState, height: Height | int, t_ns: int) -> DecisionSta
     raised, over = now_ns[1] if height >= Height.RAISED else None, now_ns[2] if height == Height.OVER else None
     if (calm, raised, over) == (state.calm_ns, state.raised_ns, state.over_ns):
         return state
-    return replace(state, calm_ns=calm, raised_ns=raised, over_ns=over)
+    return DecisionState(state.decided, calm, raised, over, state.episode, state.lead)
 
 
 def _height_now(state: DecisionState, fresh: Sequence[Reading], t_ns: int) -> tuple[DecisionState, Height]:

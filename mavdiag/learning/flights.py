@@ -141,12 +141,9 @@ def airborne(
         judged, flown = judged + int(np.count_nonzero(rows.rates.valid)), flown + len(rows.block)
         for what, glance in glances.items():
             answers[what] += glance(rows)
-        block = rows.block
-        if outputs is not None:
-            block = with_outputs(block, block.actuator.T[:outputs], block.rotor_speed.T[:outputs])
-        x = np.empty((len(block.x), ROOM + len(block)))
-        x[:, :ROOM], x[:, ROOM:] = np.nan, block.x
-        get = shelf.put([block.t_ns, x.T, rows.rates_ns])
+        sent, speeds = rows.block.actuator.T[:outputs], rows.block.rotor_speed.T[:outputs]
+        block = with_outputs(rows.block, sent, speeds, ROOM)
+        get = shelf.put([block.t_ns, block.whole.T, rows.rates_ns])
         makers.append(partial(_rows, block.segment, block.dt_s, block.outputs, get))
     judged_s = judged * front.align.dt_s
     if judged_s < MIN_FLIGHT_S:

@@ -216,7 +216,7 @@ class Monitor(ABC, Generic[Spec]):
     ) -> tuple[Statistic, FloatArray]:
         """Its statistic of some rows, and what the loop wrote, with so many inner figures, (4 + more, k)."""
         n = len(rows.block)
-        out, rotors, at = np.zeros((4 + more, n)), np.empty((n, self.rotors)), np.empty(n, dtype=np.int64)
+        out, rotors, at = np.empty((4 + more, n)), np.empty((n, self.rotors)), np.empty(n, dtype=np.int64)
         count = self.run(par, mem, columns.x, columns.first, columns.known, out, rotors, at)
         found = out[:, :count], rotors[:count], at[:count]
         if 2 * count < n:  # a value now and then does not keep the room of all rows

@@ -68,12 +68,10 @@ def free_run(par: FloatArray, taps: int, order: int, mem: FloatArray, past: int,
 
     taps: where b_0 .. b_order and a_1 .. a_order stand. past: where s_1 .. s_order do.
     """
-    own, state = par[taps : taps + 2 * order + 1], mem[past : past + order]
-    b, a = own[: order + 1], own[order:]
-    y = b[0] * u + state[0]
+    y = par[taps] * u + mem[past]
     for k in range(1, order):
-        state[k - 1] = b[k] * u - a[k] * y + state[k]
-    state[order - 1] = b[order] * u - a[order] * y
+        mem[past + k - 1] = par[taps + k] * u - par[taps + order + k] * y + mem[past + k]
+    mem[past + order - 1] = par[taps + order] * u - par[taps + 2 * order] * y
     return float(y)
 
 

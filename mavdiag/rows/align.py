@@ -14,7 +14,7 @@ then rows wait for all for `CALM_NS`.
 """
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -185,7 +185,7 @@ class AlignState:
         kept, (times, hosts, values) = end - lo, self.into[place]
         if kept + count + ROOM // 2 > self.room:
             self.room = ROOM + 3 * (kept + count) // 2
-            longer = (_widened(one, self.room) for one in self.streams[:3])
+            longer = (_widened(one, self.room, np.empty) for one in self.streams[:3])
             self.streams = self.streams._replace(**dict(zip(("times", "hosts", "values"), longer, strict=True)))
             self._look()
         for new, old in zip(self.into[place], (times, hosts, values), strict=True):
@@ -257,7 +257,7 @@ class AlignSpec:
         marks, hurries = state.streams.marks, live and self.grid is Grid.NATIVE
         marks[:, END] = state.ends
         room = np.empty((3, max(state.ends)), dtype=np.int64)
-        until_ns = _take(state.streams, room, hurries, self.dt_s * NS_PER_S)
+        until_ns = _take(state.streams, room, live, hurries, self.dt_s * NS_PER_S)
         state.reached, state.ends = marks[:, NEWEST].tolist(), marks[:, END].tolist()
         return until_ns
 
@@ -295,9 +295,9 @@ class AlignSpec:
         return expected
 
 
-def _widened(table: NDArray[Any], width: int) -> NDArray[Any]:
-    """A table with at least so many columns, the new ones zero."""
-    wide = np.zeros((len(table), max(width, table.shape[1])), dtype=table.dtype)
+def _widened(table: NDArray[Any], width: int, make: Callable[..., NDArray[Any]] = np.zeros) -> NDArray[Any]:
+    """A table with at least so many columns, the new ones as they are made."""
+    wide = make((len(table), max(width, table.shape[1])), dtype=table.dtype)
     wide[:, : table.shape[1]] = table
     return wide
 
@@ -346,7 +346,8 @@ def _move(s: Streams, place: int, first: int, stop: int, to: int) -> None:
 def _merge(s: Streams, place: int, count: int, gyro: IntArray, gyro_ns: int, steps: IntArray) -> bool:
     """Sort in the samples that came; whether one is late. Of equal times the last to come counts.
 
-    gyro: (2, m) times of vehicle and receiver of what the gyro brings, after gyro_ns. steps: room.
+    gyro: (2, m) times of vehicle and receiver of what the gyro brings, after gyro_ns. steps: room; none in a log, where
+    nothing asks for the usual step.
     """
     t, host, marks = s.times[place], s.hosts[place], s.marks[place]
     lo, hi, begin, newest, late, behind, risen = marks[LO], marks[HI], marks[HI], marks[NEWEST], False, 0, 0
@@ -358,7 +359,7 @@ def _merge(s: Streams, place: int, count: int, gyro: IntArray, gyro_ns: int, ste
         at_ns, at = t[i], hi
         late = late or at_ns <= gyro_ns - ORDER_NS
         if at_ns > newest:
-            if hi > lo:
+            if len(steps) and hi > lo:
                 steps[risen] = at_ns - t[hi - 1]
                 risen += 1
             newest = at_ns
@@ -378,7 +379,7 @@ def _merge(s: Streams, place: int, count: int, gyro: IntArray, gyro_ns: int, ste
     marks[HI], marks[NEWEST] = hi, newest
     _move(s, place, begin + count, marks[END], hi)
     marks[END] += hi - begin - count
-    if risen and risen == expected:  # all new and in order
+    if len(steps) and risen and risen == expected:  # all new and in order
         middle = _middle(steps[:risen])
         marks[STEP] = min(middle, int(SLOWER * marks[STEP])) if marks[STEP] else middle
     return bool(late)
@@ -393,7 +394,7 @@ def _latest(s: Streams) -> int:
 
 
 @cached_loop
-def _take(s: Streams, room: IntArray, hurries: bool, dt_ns: float) -> int:
+def _take(s: Streams, room: IntArray, live: bool, hurries: bool, dt_ns: float) -> int:
     """Take in what came; returns up to when rows are complete. room: (3, ..)."""
     late, gyro_ns, fresh, most_ns = False, s.marks[GYRO, NEWEST], 0, 2 * s.limits_ns[BREAK]
     if _latest(s) - most_ns > s.now[LAST]:  # samples without a row (B22), but for one that rows may need
@@ -409,7 +410,7 @@ def _take(s: Streams, room: IntArray, hurries: bool, dt_ns: float) -> int:
             fresh = count
             for i in range(fresh):
                 room[1, i], room[2, i] = s.times[GYRO, first + i], s.hosts[GYRO, first + i]
-        late |= _merge(s, place, count, room[1:, :fresh], gyro_ns, room[0])
+        late |= _merge(s, place, count, room[1:, :fresh], gyro_ns, room[0] if live else room[0, :0])
     if fresh and s.now[CALM] == NEVER_NS:
         s.now[CALM] = room[1, 0] + BEGIN_NS
     if late:

@@ -234,13 +234,12 @@ def in_rotor_order(block: Block, outputs: Sequence[int] | None) -> Block:
         absent = np.full(len(block), np.nan)
         return np.array([sent[one - 1] if one <= len(sent) else absent for one in outputs]) if len(sent) else sent
 
-    return with_outputs(block, by_rotor(block.actuator.T), by_rotor(block.rotor_speed.T))
+    return with_outputs(block, by_rotor(block.actuator.T), by_rotor(block.rotor_speed.T), block.first)
 
 
-def with_outputs(block: Block, sent: FloatArray, speeds: FloatArray) -> Block:
-    """The block with other outputs and speeds, (outputs, n) and (ESCs, n)."""
-    if not len(speeds) and np.shares_memory(sent, block.x[OUTPUTS : OUTPUTS + 1]):  # the first ones of those it has
-        return replace(block, whole=block.whole[: OUTPUTS + len(sent)], outputs=len(sent))
-    gap = np.full((MOST - len(sent) if len(speeds) else 0, len(block)), np.nan)
-    x = np.concatenate((block.x[:OUTPUTS], sent, gap, speeds))
-    return replace(block, whole=x, first=0, outputs=len(sent))
+def with_outputs(block: Block, sent: FloatArray, speeds: FloatArray, room: int = 0) -> Block:
+    """The block with other outputs and speeds, (outputs, n) and (ESCs, n), behind so many columns of room."""
+    x = np.empty((SPEEDS + len(speeds) if len(speeds) else OUTPUTS + len(sent), room + len(block)))
+    x[:, :room], x[:OUTPUTS, room:], x[OUTPUTS:, room:][: len(sent)] = np.nan, block.x[:OUTPUTS], sent
+    x[OUTPUTS + len(sent) : SPEEDS, room:], x[SPEEDS:, room:] = np.nan, speeds
+    return replace(block, whole=x, first=room, outputs=len(sent))

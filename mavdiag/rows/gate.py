@@ -89,8 +89,8 @@ class GateState:
 
     def release(self, until_ns: int) -> list[Block]:
         """Give away what flew up to a time."""
-        out, flown = list[Block](), int(self.now[KEPT])
-        kept = flown
+        out: list[Block] = []
+        kept = flown = int(self.now[KEPT])
         while kept and self.rows:
             block = self.rows.pop(0)
             stop = min(kept, int(block.t_ns.searchsorted(until_ns, side="right")))
@@ -143,7 +143,8 @@ class GateSpec:
 
     def step(self, state: GateState, block: Block) -> list[Block | Border]:
         """The next rows that fly, renumbered by flying span, held back by `trim_end_s`."""
-        out, now, first, n = list[Block | Border](), state.now, 0, len(block)
+        out: list[Block | Border] = []
+        now, first, n = state.now, 0, len(block)
         if block.segment != now[SOURCE]:
             if now[AIRBORNE]:
                 out += [*self._break_off(state), Border(int(now[LAST_NS]), landed=False)]

@@ -274,22 +274,23 @@ def _plain(s: Samples, first: int, stop: int) -> int:
             stop = i
             break
     for column in range(columns):
-        at, run, before_ns, moves = COLUMN + column, counts[RUNS + 1 + column], counts[LAST_NS], True
+        at, run, before_ns, moves = COLUMN + column, float(counts[RUNS + 1 + column]), counts[LAST_NS], True
         last, slope, came = mem[at], mem[at + columns], mem[at + 2 * columns]
         leap, leads, quiet = rule[LEAP + column], rule[LEAP + columns + column], rule[LEAP + 2 * columns + column]
         alone, may_rest = rule[LEAP + 3 * columns + column], rule[ZERO_IS_DEAD] + rule[NOT_ZERO] == 0.0
         if gyro and not mem[at + 3 * columns] <= rule[MOST_STEP]:
             return first
-        row = s.v[column, s.at :]
+        row, longest = s.v[column, s.at :], 0.0
         for i in range(first, stop):
             value, span_ns = row[i], t_ns[i] - before_ns
-            run = run + 1 if not abs(value - came) > quiet else 0
+            run = run + 1.0 if not abs(value - came) > quiet else 0.0
             if (run > alone and value == value) or abs(_short(s, value - last - slope * span_ns)) > leap:
                 stop = i
                 break
             slope = _short(s, value - last) * (1.0 / span_ns) if leads and span_ns != 0 else 0.0
-            moves = moves and run <= frozen and (may_rest or 0.0 < abs(value) < np.inf)
+            longest, moves = max(longest, run), moves & (value != 0.0) & math.isfinite(value)
             last, came, before_ns = value, value, t_ns[i]
+        moves = longest <= frozen and (may_rest or moves)
         shown = shown or moves
     return stop if shown else first
 
