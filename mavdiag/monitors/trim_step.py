@@ -120,9 +120,8 @@ class TrimStep(trim.TrimMonitor[TrimStepSpec]):
         m_ref <- m_ref + (m(t - 5 s) - m_ref) dt/30 s, at most 0.0003 dt,    while both are within 0.012
         var(m_roll), var(m_pitch): their spread^2 + (0.3 ln(o/o_ref))^2,    o: mean output, which has a reference, too
 
-    A load shifts roll and pitch by its weight, which o shows, times its place: 0.3 of the rotors' distance is usual,
-    and a weak rotor is at 1. So a load counts little. A rotor that lost thrust but no drag moves no yaw, and its a_j is
-    small: b_j counts it, where roll, pitch and o tell the same rise, beyond where a load hangs along an arm.
+    A load shifts roll and pitch by its weight, which o shows, times its place, usually 0.3 of the rotors' distance; a
+    weak rotor is at 1. Thrust lost without drag moves no yaw: b_j is what roll, pitch and o tell beyond any such load.
 
     m_ref begins as the first 5 s of a flight that the envelope covers: ground effect is no reference. What was there
     from the start does not count, and of a rise of r a second only 37 r is seen: a session's offset, a battery, wear.

@@ -371,7 +371,9 @@ def test_what_contradicts_is_far_below_its_threshold_or_follows_from_the_damage_
     calm = of(RotorSignature, 0.5, 1.0, -1.0, -1.0, -1.0)
     assert (isolate([calm]).confidence, isolate([calm, of(Unbalance, 1.2, *SHAKING_KINDS)]).rotor) == (0.0, 2)
     trim = of(RotorTrim, 3.0, 2.0, -1.0, -1.0, -1.0)
-    assert isolate([trim]).rotor == 1
+    step = reading(TRIM.evidence, 2.9, 0.5, (-1.0, 3.0, -1.0, -1.0))  # it reads the same outputs
+    assert isolate([trim, step]).rotor == isolate([trim]).rotor == 1
+    assert isolate([trim, step._replace(ratio=3.1)]).rotor == 2
     assert isolate([trim, of(Unbalance, 0.9, *SHAKING_KINDS)]).rotor != 2
     assert isolate([trim, of(Unbalance, 1.1, *SHAKING_KINDS)]).rotor == 2
 
