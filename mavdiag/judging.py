@@ -28,6 +28,7 @@ from mavdiag.units import NS_PER_S
 PIECE_ROWS = 4000  # rows that are judged together (our choice: 3,000 to 6,000 take the same time)
 MIN_JUDGED_S = 1.0  # less judged time supports no verdict (our choice)
 MOST_STRETCHES = 3  # that were not judged, which a reason names (our choice)
+LONG_S = 10.0  # a stretch that a reason names although the rest of the flight is enough for a verdict (our choice)
 NEVER_FLEW = "never airborne: no armed flight with thrust"
 Show: TypeAlias = Callable[[Chain, Sequence[Piece]], None]
 JUDGED_SHARE = 0.8  # of the flown time that must be judged for "healthy", unless told otherwise (our choice)
@@ -303,15 +304,17 @@ class _Run:
         text += f" by {', '.join(one.name for one in spoke)}" if spoke else ""
         text += f", without {self.takeoff_s:.1f} s of take-off or start" if self.takeoff_s >= 0.1 else ""
         why = [f"{one.reason} {self._between(one.begin_s, one.end_s)}" for one in self.hidden]
-        if 0 < share < self.judged_share:
-            spans = [(begin / NS_PER_S, end / NS_PER_S) for begin, end in self.state.memory.unjudged]
-            spans = [span for span in spans if span[1] - span[0] >= MIN_JUDGED_S]
-            longest = sorted(spans, key=lambda span: span[0] - span[1])[:MOST_STRETCHES]
-            why += [f"nothing judged {self._between(*span)}" for span in sorted(longest)]
-        lacking = [one for one in own if one not in spoke or (one.not_judged and share < self.judged_share)]
-        reasons = ", ".join(f"{one.name} ({one.not_judged or 'too little flight'})" for one in lacking)
-        why += [f"not judged by {reasons}"] if reasons else []
-        return f"{text}{': ' if share < self.judged_share else '; '}{'; '.join(why)}" if why else text
+        short = share < self.judged_share  # then the monitors' reasons follow
+        cause = "" if short else next((f" ({one.not_judged})" for one in own if one.not_judged), "")
+        spans = [(begin / NS_PER_S, end / NS_PER_S) for begin, end in self.state.memory.unjudged if share > 0]
+        spans = [span for span in spans if span[1] - span[0] >= (MIN_JUDGED_S if short else LONG_S)]
+        longest = sorted(spans, key=lambda span: span[0] - span[1])[:MOST_STRETCHES]
+        why += [f"nothing judged {self._between(*span)}{cause}" for span in sorted(longest)]
+        lacking = [one for one in own if one not in spoke or (one.not_judged and short)]
+        judged = [f"; it judged {one.judged_s:.0f} s" if one.judged_s >= MIN_JUDGED_S else "" for one in lacking]
+        reasons = [f"{m.name} ({m.not_judged or 'too little flight'}{s})" for m, s in zip(lacking, judged, strict=True)]
+        why += [f"not judged by {', '.join(reasons)}"] if reasons else []
+        return f"{text}{': ' if short else '; '}{'; '.join(why)}" if why else text
 
     def _when(self, t_ns: int) -> str:
         t_s, begin_s = t_ns / NS_PER_S, self._begin_s

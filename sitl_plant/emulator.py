@@ -110,13 +110,12 @@ class Link:
 
 def obey(plant: Plant, order: PlantOrder) -> None:
     """Do with the plant what the autopilot wants."""
-    match order:
-        case Leg():
-            plant.lead(order)
-        case Injection():
-            plant.inject(order)
-        case "clear":
-            plant.clear()
+    if isinstance(order, Leg):
+        plant.lead(order)
+    elif isinstance(order, Injection):
+        plant.inject(order)
+    else:  # "clear"
+        plant.clear()
 
 
 def fly(
@@ -200,9 +199,6 @@ def recorded(plan: FlightPlan, duration_s: float, watch: Callable[[PlantSamples]
 
 def record_flight(path: Path, plan: FlightPlan, duration_s: float, watch: Callable[[PlantSamples], None]) -> int:
     """Write a flight to a .tlog file; returns its message count. Raises UsageError if the file cannot be written."""
-    messages = 0
     with replacing(path) as file:
-        for t_ns, frame in recorded(plan, duration_s, watch):
-            file.write(tlog_record(EPOCH_US + t_ns // 1000, frame))
-            messages += 1
-    return messages
+        frames = recorded(plan, duration_s, watch)
+        return sum(file.write(tlog_record(EPOCH_US + t_ns // 1000, frame)) > 0 for t_ns, frame in frames)

@@ -115,8 +115,7 @@ def with_options(plan: Callable[..., Any]) -> Callable[[Callable[..., None]], Ca
 
         @wraps(command)
         def run(**options: Any) -> None:
-            made = plan(**{name: options.pop(name) for name in shared})
-            command(made, **options)
+            command(plan(**{name: options.pop(name) for name in shared}), **options)
 
         options = Signature([*own, *shared.values()])
         vars(run).update(__signature__=options)

@@ -45,7 +45,7 @@ NOISE_WINDOW_S = 0.5  # of one rms of noise (our choice)
 CALM_SHARE = 0.2  # the quantile of these rms that stands for calm flight (our choice)
 RESOLUTION_SHARE = 0.05  # of the steps of a signal that may be smaller than its resolution (our choice)
 ALIKE = 0.7  # of the logarithm of a motor's level over the motors' median: half to twice (our choice)
-MOVES = 0.2  # of the busiest motor's rms (our choice)
+MOVES, BUSY = 0.2, 3  # of the rms of the third busiest: a rotor that fails and its opposite may be busier (our choice)
 
 
 @dataclass(frozen=True, slots=True)
@@ -415,7 +415,7 @@ def _motors(sent: Sequence[FloatArray]) -> float:
     if not outputs.size:
         return math.nan
     level, moves = outputs.mean(axis=1), outputs.std(axis=1)
-    moving = (level > MIN_OUTPUT) & (moves > MOVES * np.where(level > MIN_OUTPUT, moves, 0.0).max())
+    moving = (level > MIN_OUTPUT) & (moves > MOVES * np.sort(np.where(level > MIN_OUTPUT, moves, 0.0))[-BUSY:][0])
     if not moving.any():
         return 0.0
     ratio = np.maximum(level, MIN_OUTPUT) / float(np.median(level[moving]))

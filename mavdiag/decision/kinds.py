@@ -9,7 +9,7 @@ e_mj: a monitor's evidence for rotor j. w_m: logits that a unit of it is worth (
 flights so that a name at p = 0.9 is right in 99 of 100. g_m = 0..1: nothing below half of its threshold, all at it. No
 rotor is named of a sensor fault, nor anew while a sensor's check is at 0.85 or above, in an upset (a monitor of the
 loss of control or of thrust at half its threshold) or a loss of control. Of a gross loss of thrust the name that was
-given stays, else the one that the loss itself shows.
+given stays, else the one that the loss itself shows. Of two trims the one farther above its threshold counts.
 """
 
 import math
@@ -81,10 +81,12 @@ def isolate(readings: Sequence[Reading]) -> Isolation:
     most = max((len(reading.rotors) for reading in readings), default=0)
     worth = [(reading, reading.unit) for reading in readings]
     observed = any(one.ratio > 1 and one.direct and unit and _sure(unit, one.rotors) >= NAME_AT for one, unit in worth)
+    trim = max((one.ratio for one, unit in worth if unit and not one.direct), default=0.0)  # that is farthest above
     logits = [0.0] * most
     for reading, unit in worth:
         gate = min(max((reading.ratio - SILENT_BELOW) / (1.0 - SILENT_BELOW), 0.0), 1.0)
-        if unit * gate and len(reading.rotors) == most and (reading.direct or not observed):
+        counts = reading.direct or (not observed and reading.ratio == trim)  # one change of trim is not two facts
+        if unit * gate and len(reading.rotors) == most and counts:
             logits = [a + unit * gate * b for a, b in zip(logits, reading.rotors, strict=True)]
     if not any(logits):
         return Isolation()

@@ -282,8 +282,9 @@ class RotorSignature(Monitor[RotorSignatureSpec]):
     before normalising [rad/s], which grades the damage; `rotors` are the S_j.
 
     Warm-up: half an SG window, 1.5 s to settle, then 3 s unbroken and valid. Latency: 50 ms and about 0.4 s for a
-    thrust that wanders by 6 %, 1 s for 3 %. False alarms: jolts beside the centre. Blind spots: a rotor that is weak
-    but steady, balanced damage, vibration; in wind of 5 m/s a crack of half the fitted strength is near the threshold.
+    thrust that wanders by 6 %, 1 s for 3 %. False alarms: jolts beside the centre; sharp stops with an unlearnt load, a
+    seventh of the weight, at half an arm or farther. Blind spots: a rotor that is weak but steady, balanced damage,
+    vibration; in wind of 5 m/s a crack of half the fitted strength is near the threshold.
     """
 
     name = "rotor_signature"

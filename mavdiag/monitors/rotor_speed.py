@@ -102,8 +102,7 @@ def _take_row(par: Floats, mem: Floats, x: Floats, i: int) -> bool:
     n = int(par[ROTORS])
     if mem[ROW] == 0.0:
         mem[KNOWN] = 0.0
-        for j in range(4 * n + 1):
-            mem[SUMS + j] = 0.0
+        mem[SUMS : SUMS + 4 * n + 1] = 0.0
     known = x[col.VALID, i] > 0.5 and x.shape[0] >= col.SPEEDS + n
     for j in range(n if known else 0):
         u, w = x[col.OUTPUTS + j, i], x[col.SPEEDS + j, i]
@@ -167,7 +166,7 @@ def _take_tick(
     par: Floats, mem: Floats, tick: Floats, covered: bool, scratch: Floats, out: Floats, rotors: Floats, k: int
 ) -> None:
     """Put a tick into the window, where usable ones in a row count, and judge that."""
-    n, window, best = int(par[ROTORS]), int(par[WINDOW]), 0.0
+    n, window, best, least = int(par[ROTORS]), int(par[WINDOW]), 0.0, 1.0
     place, weights, away = int(mem[TICKS]) % window, scratch[0], scratch[1]
     for j in range(n):
         own, of, error, total = EACH + EACH_OF * j, SUMS + 4 * n + 1 + OF_ROTOR * window * j, 0.0, 0.0
@@ -185,9 +184,11 @@ def _take_tick(
             for q in range(COLUMNS):
                 error += away[p] * par[ERRORS + COLUMNS * p + q] * away[q] / total**2
         found, variance = _weighed(mem[of : of + window], weights)
-        found *= par[SPREAD] / math.sqrt(par[SPREAD] ** 2 + max(error, 0.0) + variance) * n / (n - 1.0)
-        rotors[k, j] = abs(found)
-        best = found if abs(found) > abs(best) else best
+        sure, found = par[SPREAD] / math.sqrt(par[SPREAD] ** 2 + max(error, 0.0) + variance), found * n / (n - 1.0)
+        rotors[k, j], least = abs(found), min(least, sure)
+        best = sure * found if abs(sure * found) > abs(best) else best
+    for j in range(n):
+        rotors[k, j] *= least
     out[col.VALUE, k], out[col.LEVEL, k] = abs(best), best
     mem[TICKS] += 1.0
     mem[RUN] = mem[RUN] + 1.0 if covered and tick[OF_ROTOR * n + 1] > 0.5 else 0.0

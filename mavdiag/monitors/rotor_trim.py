@@ -55,13 +55,14 @@ TURN_TRIM = 0.02
 # choice). b2 is I_zz over weight and drag arm of the rotors, 0.04 for a QDrone 2 and an ArduCopter of 3 kg; b1 is 0.11
 # for the latter; b3 is the spin that a unit of yaw trim gives the rotors over the torque that it makes.
 PRIOR, PRIOR_SD = np.array([0.0, 0.04, 0.0]), np.array([0.1, 0.04, 0.2])
+ARM_SD = 3.0  # beyond so many no load hangs along an arm (our choice)
 APART = 0.07, 0.07, 0.012  # of roll, pitch and yaw trim, between flights of other days (sd; METHOD section 5)
 # Places in the parameters: 1 for torque commands; 1 where the pull is felt; how many rotors; parts of a tick, rows of a
 # part, row period, ticks of a window; of the spec pull, turn, variances of k1, k2 and b1, mean, about and spread; gains
-# of torque commands; what a monitor has of its own; variance of the yaw trim between its days; the sums of the unmixing
-# C, C itself, (3, rotors), and 1/max |c_k|.
+# of torque commands; what a monitor has of its own; variance of the yaw trim between its days, and that of
+# the drag; the sums of the unmixing C, C itself, (3, rotors), and 1/max |c_k|.
 TORQUES, FELT, ROTORS, PARTS, ROWS, DT, WINDOW, PULL, TURN, ERROR, MEAN, ABOUT, SPREAD = *range(8), 9, 12, 15, 18, 21
-GAIN, OWN, DAYS, SUM, UNMIXING = 24, 27, 30, 31, 34
+GAIN, OWN, DAYS, DRAG, SUM, UNMIXING = 24, 27, 30, 31, 32, 35
 # And in the memory: parts of the tick, rows of the part, known ones of the tick, whether a trim changed, the first one;
 # usable ticks in a row, ticks so far, weight of the last; what a monitor has of its own; then the parts, the last two
 # of the tick before in front.
@@ -243,8 +244,7 @@ def window_means(par: Floats, mem: Floats, back: int, means: Floats) -> None:
     """Weighted means, (MEANS,), over the ticks of a window that ended so many ticks ago."""
     window, ring = int(par[WINDOW]), _found_at(par) + FIGURES * int(par[PARTS])
     first, weight = int(mem[TICKS]) - back - window, 0.0
-    for j in range(MEANS):
-        means[j] = 0.0
+    means[:] = 0.0
     for tick in range(first, first + window):
         at = ring + (MEANS + 1) * (tick % (2 * window))
         weight += mem[at + MEANS]
@@ -255,45 +255,50 @@ def window_means(par: Floats, mem: Floats, back: int, means: Floats) -> None:
 
 
 @jit
-def rise(par: Floats, rotor: int, shift: Floats, careful: bool) -> tuple[float, float]:
-    """The rise a_j of one rotor that explains a shift of trim, pull, yaw rate and lift (7,), and a_j |c_j| (`trims`).
-
-    careful: roll and pitch with what a load moves that is so heavy, and with the errors of k.
-    """
-    rotors, pull, load = int(par[ROTORS]), shift[3] ** 2 + shift[4] ** 2, (trims.BESIDE * shift[LIFT]) ** 2
-    above, below = 0.0, 0.0
-    for j in range(3):
-        column, variance = par[UNMIXING + j * rotors + rotor], par[SPREAD + j] ** 2
-        if careful and j < 2:
-            variance += load + par[ERROR + j] * pull
-        weight = column / variance
-        above, below = above + weight * shift[j], below + weight * column
+def rise(par: Floats, rotor: int, shift: Floats, roll: float, pitch: float, yaw: float) -> tuple[float, float]:
+    """The rise a_j of one rotor that explains a shift of trim with these variances, and a_j |c_j| (`trims`)."""
+    n = int(par[ROTORS])
+    c, d, e = par[UNMIXING + rotor], par[UNMIXING + n + rotor], par[UNMIXING + 2 * n + rotor]
+    above = c * shift[0] / roll + d * shift[1] / pitch + e * shift[2] / yaw
+    below = c * c / roll + d * d / pitch + e * e / yaw
     return above / below, above / math.sqrt(below)
 
 
 @jit
 def best_rise(par: Floats, shift: Floats) -> float:
-    """That of the rotor whose rise leaves least of the shift, carefully: a rotor with less effect would rise more.
+    """That of the rotor whose rise leaves least of a shift of trim, pull, yaw rate and lift, (7,).
 
-    Less by what the yaw trim errs at this yaw rate beyond what it differs by on other days.
+    Roll and pitch with what a load moves that is so heavy, and with the errors of k: a rotor with less effect would
+    rise more. Less by what the yaw trim errs at this yaw rate beyond what it differs by on other days. Or that of the
+    rotor whose rise roll, pitch and lift tell alike, whatever yaw does, if it is larger (b_j of `TrimStep`).
     """
-    found, most = 0.0, -math.inf
-    for rotor in range(int(par[ROTORS])):
-        a, explained = rise(par, rotor, shift, True)
+    n, pull, load = int(par[ROTORS]), shift[3] ** 2 + shift[4] ** 2, (trims.BESIDE * shift[LIFT]) ** 2
+    roll, pitch = par[SPREAD] ** 2 + load + par[ERROR] * pull, par[SPREAD + 1] ** 2 + load + par[ERROR + 1] * pull
+    found, most, lifted, lift = 0.0, -math.inf, 0.0, n * shift[LIFT]
+    for rotor in range(n):
+        a, explained = rise(par, rotor, shift, roll, pitch, par[SPREAD + 2] ** 2)
         if explained > most:
             found, most = a, explained
+        c, d = par[UNMIXING + rotor], par[UNMIXING + n + rotor]
+        told = (c * shift[0] + d * shift[1] - abs(c * shift[1] - d * shift[0])) / (c * c + d * d)
+        away = ARM_SD * math.sqrt(c * c * roll + d * d * pitch) / (c * c + d * d)
+        if lift > away:
+            lifted = max(lifted, (min(told, lift) - away) / (1.0 - away / lift))
     error = max(0.0, par[ERROR + 2] * shift[RATE] ** 2 - par[DAYS])
-    return found / math.sqrt(1.0 + error / par[SPREAD + 2] ** 2)
+    return max(lifted, found / math.sqrt(1.0 + error / par[SPREAD + 2] ** 2))
 
 
 @allocating
 def write(par: Floats, mem: Floats, shift: Floats, sound: bool, out: Floats, rotors: Floats, k: int) -> None:
     """A value of a shift; for a fit the tick's `FIGURES`, usable ticks, window and shift."""
-    parts, found = int(par[PARTS]), _found_at(par)
+    parts, n, found = int(par[PARTS]), int(par[ROTORS]), _found_at(par)
     out[col.VALUE, k] = out[col.LEVEL, k] = best_rise(par, shift)
     out[col.SOUND, k] = sound
+    roll, pitch, yaw = par[SPREAD] ** 2, par[SPREAD + 1] ** 2, par[SPREAD + 2] ** 2
     for rotor in range(rotors.shape[1]):
-        rotors[k, rotor] = rise(par, rotor, shift, False)[1] * par[UNMIXING + 3 * int(par[ROTORS])]
+        c, d, e = par[UNMIXING + rotor], par[UNMIXING + n + rotor], par[UNMIXING + 2 * n + rotor]
+        apart = par[DRAG] * e * e * (shift[0] ** 2 + shift[1] ** 2) / (c * c + d * d)
+        rotors[k, rotor] = rise(par, rotor, shift, roll, pitch, yaw + apart)[1] * par[UNMIXING + 3 * n]
     if out.shape[0] > col.TRACE:
         means = np.empty(MEANS)
         window_means(par, mem, 0, means)
@@ -344,6 +349,7 @@ class TrimMonitor(Monitor[Spec]):
     needs_layout = True
     unit = "fraction of hover"
     reach = MOST_RISE
+    drag: ClassVar[float] = 0.0  # what drag changes by apart from thrust, over the rise (sd)
     days: ClassVar[float] = 0.0  # by how much the yaw trim differs on other days than that it is compared with (sd)
 
     def __init__(self, spec: Spec) -> None:
@@ -471,7 +477,8 @@ class TrimMonitor(Monitor[Spec]):
         mem = np.zeros(SUMS + SUMMED * (parts + 2) + (FIGURES + 1) * parts + 2 * (MEANS + 1) * window)
         mem[SUMS : SUMS + 2 * SUMMED] = np.nan
         own, sizes = self.own(self.period_s(dt_s)), np.sqrt(np.power(spec.spread, -2.0) @ np.square(C))
-        return Begin(np.array([*head, *learnt, *own, self.days**2, *C.sum(axis=1), *C.ravel(), 1.0 / sizes.max()]), mem)
+        apart = self.days**2, self.drag**2
+        return Begin(np.array([*head, *learnt, *own, *apart, *C.sum(axis=1), *C.ravel(), 1.0 / sizes.max()]), mem)
 
 
 class RotorTrim(TrimMonitor[RotorTrimSpec]):

@@ -58,8 +58,7 @@ def _take_window(par: Floats, mem: Floats, shift: Floats, before: Floats) -> boo
     before: room for that of the window before.
     """
     window = int(par[trim.WINDOW])
-    for j in range(trim.MEANS):
-        shift[j] = 0.0
+    shift[:] = 0.0
     if mem[trim.RUN] < 2 * window:
         return False
     trim.window_means(par, mem, 0, shift)
@@ -115,30 +114,33 @@ class TrimStep(trim.TrimMonitor[TrimStepSpec]):
     """Statistic: the rise of ONE rotor's command against the same flight before [fraction of hover].
 
         m: trim averaged over 5 s as rotor_trim has it,    a_j: rise of rotor j that explains m - m_ref
-        statistic = a_j of the rotor with the largest a_j |c_j|
+        statistic = the larger of: a_j of the rotor with the largest a_j |c_j|; max_j b_j
+        b_j = max(0, min(g_j, n l) - 3 s_j)/(1 - 3 s_j/(n l)),    n: rotors,    l = ln(o/o_ref),    s_j: sd of g_j
+        g_j = (c_j . d - |c_j x d|)/|c_j|^2 of roll and pitch alone,    d = m - m_ref
         m_ref <- m_ref + (m(t - 5 s) - m_ref) dt/30 s, at most 0.0003 dt,    while both are within 0.012
         var(m_roll), var(m_pitch): their spread^2 + (0.3 ln(o/o_ref))^2,    o: mean output, which has a reference, too
 
-    A load shifts roll and pitch by its weight, which o shows, times its place: 0.3 of the rotors' distance is usual,
-    and a weak rotor is at 1. So a load counts little, and in full a rotor that lost thrust but no drag.
+    A load shifts roll and pitch by its weight, which o shows, times its place, usually 0.3 of the rotors' distance; a
+    weak rotor is at 1. Thrust lost without drag moves no yaw: b_j is what roll, pitch and o tell beyond any such load.
 
     m_ref begins as the first 5 s of a flight that the envelope covers: ground effect is no reference. What was there
     from the start does not count, and of a rise of r a second only 37 r is seen: a session's offset, a battery, wear.
     A shift that stays for two minutes of judged flight becomes the reference. From then on, and where a flight begins
     with more than a session explains, what leads back to where the trim was healthy does not count: m - m_ref is taken
     from the nearest point of the way there, so that a repair in flight is no fault of the other rotors. `level` equals
-    the statistic. `rotors` are the a_j by the spreads as they are: a session's load is in m and m_ref alike.
+    the statistic. `rotors` are the a_j by the spreads as they are: a session's load is in m and m_ref alike; but
+    drag may change apart from thrust, by as much (sd), so that a blade with more of it names no other rotor.
 
     Warm-up: 10 s of unbroken valid flight as the envelope covers it. Latency: up to 5 s. False alarms: a load that is
     hung under one rotor, or slips. Blind spots: damage that was there at take-off (the rotor-trim monitor sees it) or
-    grows slowly, the minutes after a heavy load was picked up or dropped for all that yaw does not show, and hops
-    shorter than 10 s.
+    grows slowly, what yaw does not show for minutes after a heavy load came or went, and hops shorter than 10 s.
     """
 
     name = "trim_step"
     label = "trim step"
     observes = "one rotor commanded more than a minute ago"
     least = 0.01  # half of what a trim must allow for wind (our choice)
+    drag = 1.0  # lost with the thrust, as it was, or more (our choice)
     spec_type = TrimStepSpec
     run = staticmethod(run)
 

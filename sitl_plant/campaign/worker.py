@@ -307,8 +307,7 @@ def _answer(verdict: LogVerdict, after: Sequence[Event]) -> Answer:
         return Answer(verdict.verdict.value)
     if not after:
         return Answer("nothing")
-    rows = [event_json(event) for event in after]
-    rows.sort(key=lambda row: -float(row["confidence"] or 0.0))
+    rows = sorted(map(event_json, after), key=lambda row: -float(row["confidence"] or 0.0))
     names = ("rotor", "fault_type", "severity")
     named = {name: next((row[name] for row in rows if row[name] is not None), None) for name in names}
     kinds = [event.kind for event in after if event.kind is not None]
@@ -389,8 +388,7 @@ def run_campaign(design: Design, journal: Journal, workers: int | str) -> Result
         needed = workers if isinstance(workers, str) else min(workers, len(left))
         with shown(stage, (1.0,) * len(left)) as bar:
             for _, future in run_all(function, left, needed, warn=partial(bar.say, err=True)):
-                error = future.exception()
-                if error is not None and died(error):
+                if (error := future.exception()) is not None and died(error):
                     raise UsageError(
                         "a worker process died, perhaps for want of memory; run again with fewer --workers"
                     ) from error
@@ -400,7 +398,5 @@ def run_campaign(design: Design, journal: Journal, workers: int | str) -> Result
     work("learning", partial(learn_task, seed=seed), list(learning.items()))
     found = {task: line for key, task in learning.items() if isinstance(line := journal.lines[key], LearnResult)}
     work("flying", partial(fly_task, seed=seed), [(key, task, found[task.learnt]) for key, task in flights.items()])
-    flown = (journal.lines[key] for key in flights)
-    return Results(
-        design, tuple(found.values()), tuple(line for line in flown if isinstance(line, FlightResult)), reused, others
-    )
+    flown = tuple(line for key in flights if isinstance(line := journal.lines[key], FlightResult))
+    return Results(design, tuple(found.values()), flown, reused, others)

@@ -160,6 +160,7 @@ X = layout_named("x")
 UNTHROTTLED = Telemetry(tuple(s for s in flying(3000, 7).series if s.signal is not Signal.THRUST_SETPOINT))
 CALM = changed_telemetry(flying(3000, 7), Signal.SPECIFIC_FORCE, lambda force: 0.4 * force)
 STRONGER = 0.4 * X.mixing[:, :2] @ X.unmixing[:2, 0]  # a rotor with less thrust and its whole drag: no yaw trim
+JERKS = (np.arange(3000) % 500 < 30)[:, None] * STRONGER  # in a tenth of the time it and its opposite outdo the others
 SHAKEN = 0.2 * np.random.default_rng(2).standard_normal((3000, 3))
 
 
@@ -193,6 +194,7 @@ def yawed(telemetry: Telemetry, share: float) -> Telemetry:
     [
         (yawed(flying(3000, 7), 0.12), Outcome.FAR, "does not look like E8: yaw trim +0.12"),
         (changed_telemetry(flying(3000, 7), Signal.ACTUATOR, lambda outputs: outputs + STRONGER), Outcome.ALIKE, ""),
+        (changed_telemetry(flying(3000, 7), Signal.ACTUATOR, lambda x: x + JERKS[: len(x)]), Outcome.ALIKE, ""),
         (yawed(flying(3000, 7), 0.006), Outcome.NEAR, "may be another vehicle than E8, or have new propellers"),
         # nothing that breaks makes a sensor quieter; better balanced propellers do, by as much as 7
         (

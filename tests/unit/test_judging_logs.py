@@ -2,6 +2,7 @@
 
 import itertools
 import math
+import re
 import tracemalloc
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
@@ -94,9 +95,11 @@ def test_b1_healthy_says_which_monitors_judged_for_how_long_and_which_did_not() 
     verdict = judge(logged(without(flying(2500, 1), ALL, signals=(Signal.ACTUATOR,))), whole())
     assert verdict.verdict is Verdict.HEALTHY
     assert verdict.reason.startswith("no alarm; judged 24.0 s of 24.0 s (100 %) by innovation, rotor_signature, ")
-    ceases = judge(logged(without(flying(2500, 1), (9.0, 99.0), signals=(Signal.ACTUATOR,))), whole())
     assert "; not judged by rotor_trim (no actuator" in verdict.reason
-    assert "; not judged by rotor_trim (" in ceases.reason, ceases.reason
+    log = logged(without(flying(2500, 1), (9.0, 99.0), signals=(Signal.ACTUATOR,)))
+    ceases, alone = judge(log, whole()).reason, judge(log, trim(), 0.1).reason
+    assert re.search(r"; not judged by rotor_trim \(.*; it judged [1-9] s\)", ceases), ceases
+    assert re.search(r"no alarm; .* start; nothing judged from [^(]* \(no actuator", alone), alone
     assert "not judged by innovation (too little flight)" in judge(logged(flying(700, 1)), flown()).reason
     told = verdict_json(verdict)
     assert [verdict.judged_s, verdict.flown_s, told["judged_s"], told["flown_s"]] == pytest.approx([24] * 4, abs=0.1)

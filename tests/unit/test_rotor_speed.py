@@ -62,6 +62,10 @@ def test_the_farther_commands_are_from_those_learnt_the_less_a_speed_says(health
     values = [last(healthy, rows_of(7, ratio, 1500, wander=wander))[0] for wander in (0.002, 0.05, 0.2)]
     assert values == sorted(values, reverse=True)
     assert values[2] < 0.6 * values[0]
+    flight = rows_of(7, np.array([1.0, 1.02, 0.99, 0.9]), 1500)
+    flight[0].block.actuator[:, 3] *= 1.2
+    flight[0].block.rotor_speed[:, 3] *= 1.2**0.85
+    assert last(healthy, flight)[2].argmax() == 3  # it says less of how much, not of which rotor
 
 
 def test_the_voltage_and_what_all_rotors_share_cancel(healthy: RotorSpeedSpec) -> None:

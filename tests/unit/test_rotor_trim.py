@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from flying_telemetry import flying, flying_rows
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from made_rows import calibrated, example_context, example_rows
 
@@ -24,7 +24,6 @@ from mavdiag.units import G
 CALM = (0.03, 0.03, 0.01)
 WEIGHTS = (0.03, 0.02, 0.01)
 frames = st.sampled_from(sorted(LAYOUTS))
-shifts = st.lists(st.floats(-0.3, 0.3), min_size=3, max_size=3)
 
 
 def read(spec: RotorTrimSpec, rows: list[Rows]) -> Statistic:
@@ -73,9 +72,7 @@ def test_a_shifted_centre_of_mass_counts_little() -> None:
     shift = np.array([0.06, 0.04, 0.0])  # roll and pitch only
     w = layout_named("x").mixing @ shift
     found = read(spec_of(), [example_rows(600, actuator=fluttering(0.5 * (1 + w)))])
-    weak = read(spec_of(), [example_rows(600, actuator=fluttering(0.5 * np.array([1.2, 1.0, 1.0, 1.0])))])
     assert found.value[-1] < 0.1
-    assert weak.value[-1] > 0.15
 
 
 def test_torque_commands_give_the_same_as_outputs() -> None:
@@ -218,18 +215,6 @@ def test_what_the_air_pulls_is_learnt_by_the_accelerometer_and_taken_off() -> No
     assert (blind.felt, blind.pull, blind.pull_sd) == (False, (0.0, 0.0), (TILT_TRIM, TILT_TRIM))
 
 
-@given(frame=frames, shift=shifts, lean=st.lists(st.floats(-0.4, 0.4), min_size=2, max_size=2))
-def test_the_rises_are_weighted_least_squares(frame: str, shift: list[float], lean: list[float]) -> None:
-    layout = layout_named(frame)
-    effects: FloatArray = np.asarray(np.linalg.pinv(layout.mixing), dtype=np.float64)  # (3, rotors)
-    wind = TILT_TRIM * math.hypot(*lean)
-    spread = np.array([math.hypot(WEIGHTS[0], wind), math.hypot(WEIGHTS[1], wind), WEIGHTS[2]])
-    found = rises(np.array([shift]), layout, (spread[0], spread[1], spread[2]))
-    for j, one in enumerate(found[0]):  # min || diag(1/spread) (effect rise - shift) ||
-        (expected,), *_ = np.linalg.lstsq((effects[:, j] / spread)[:, None], np.array(shift) / spread, rcond=None)
-        assert one == pytest.approx(expected, rel=1e-9, abs=1e-12)
-
-
 def test_outputs_are_preferred_to_commands() -> None:
     rng, frame = np.random.default_rng(1), layout_named("crazyflie")
     outputs, torque, thrust = rng.normal(0.5, 0.01, (9, 4)), rng.normal(0.0, 0.01, (9, 3)), np.full(9, 0.5)
@@ -238,12 +223,21 @@ def test_outputs_are_preferred_to_commands() -> None:
 
 
 @given(frame=frames, shift=st.lists(st.floats(-0.3, 0.3), min_size=7, max_size=7))
-def test_the_compiled_rise_is_that_of_arrays(frame: str, shift: list[float]) -> None:
-    layout, both = layout_named(frame), np.array([shift])
+@example(frame="hexa-x", shift=[0.05, 0.04, 0.01, 0.0, 0.0, 0.0, 0.05])  # lifted by one rotor, nearly
+def test_the_rises_are_weighted_least_squares_and_without_yaw_what_a_load_leaves(
+    frame: str, shift: list[float]
+) -> None:
+    layout, both, C = layout_named(frame), np.array([shift]), layout_named(frame).unmixing
     par = RotorTrim(RotorTrimSpec(layout=layout, source="actuator", spread=WEIGHTS)).begin(0.01).par
     wind, load = TILT_TRIM * math.hypot(*shift[3:5]), BESIDE * shift[6]
     spread = np.array([*(math.hypot(sd, wind, load) for sd in WEIGHTS[:2]), WEIGHTS[2]])
-    expected = rises(both[:, :3], layout, spread)[0]
-    found, explained = np.array([rise(par, rotor, both[0], True) for rotor in range(layout.rotors)]).T
-    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
-    assert best_rise(par, both[0]) == found[explained.argmax()]
+    found, explained = np.array([rise(par, j, both[0], *np.square(spread)) for j in range(layout.rotors)]).T
+    np.testing.assert_allclose(found, rises(both[:, :3], layout, spread)[0], rtol=1e-9, atol=1e-12)
+    for one, effect in zip(found, C.T, strict=True):  # min || diag(1/spread) (effect rise - shift) ||
+        (expected,), *_ = np.linalg.lstsq((effect / spread)[:, None], both[0, :3] / spread, rcond=None)
+        assert one == pytest.approx(expected, rel=1e-9, abs=1e-12)
+    size, lift, (roll, pitch) = np.square(C[:2]).sum(axis=0), layout.rotors * max(shift[6], 1e-9), both[0, :2]
+    told = np.minimum((roll * C[0] + pitch * C[1] - np.abs(pitch * C[0] - roll * C[1])) / size, lift)
+    away = 3.0 * np.sqrt(np.square(spread[:2]) @ np.square(C[:2])) / size
+    lifted = np.where(lift > away, np.maximum(told - away, 0.0) / np.abs(1.0 - away / lift), 0.0)
+    assert best_rise(par, both[0]) == pytest.approx(max(found[explained.argmax()], lifted.max()), rel=1e-9)

@@ -81,18 +81,10 @@ def test_noise_of_one_axis_is_found_and_shaking_of_several_is_not(axis: int) -> 
 
 
 def test_only_a_turn_that_nobody_commanded_is_a_loss_of_control() -> None:
-    rate = np.zeros((N, 3))
-    rate[1000:1400, 0] = 10.0
-    turning = np.zeros((N, 3))
-    turning[1000:1400, 0] = 10.0 * DT_S * np.arange(400)
-    turning[1400:, 0] = turning[1399, 0]
-    jump = np.zeros((N, 3))
-    jump[1000:, 2] = 1.5
-    cases = {
-        "upset": (rate, np.zeros((N, 3)), 10.0),
-        "commanded": (rate, turning, 0.1),
-        "set-point that jumps": (np.zeros((N, 3)), jump, 0.1),
-    }
+    none, rate, turning, jump = np.zeros((4, N, 3))
+    rate[1000:1400, 0], jump[1000:, 2] = 10.0, 1.5
+    turning[1000:, 0] = 10.0 * DT_S * np.minimum(np.arange(N - 1000), 399)
+    cases = {"upset": (rate, none, 10.0), "commanded": (rate, turning, 0.1), "set-point that jumps": (none, jump, 0.1)}
     for name, (measured, setpoint, value) in cases.items():
         found = read(ControlLoss(ControlLossSpec()), example_rows(N, DT_S, rate=measured, setpoint=setpoint))
         inside = slice(1010, 1390)  # the rate filters see the edges
