@@ -55,7 +55,7 @@ TURN_TRIM = 0.02
 # choice). b2 is I_zz over weight and drag arm of the rotors, 0.04 for a QDrone 2 and an ArduCopter of 3 kg; b1 is 0.11
 # for the latter; b3 is the spin that a unit of yaw trim gives the rotors over the torque that it makes.
 PRIOR, PRIOR_SD = np.array([0.0, 0.04, 0.0]), np.array([0.1, 0.04, 0.2])
-ARM_SD = 3.0  # beyond so many no load hangs along an arm (our choice)
+SURE_SD = 3.0  # so far a law may err, or a load hang along an arm (our choice)
 APART = 0.07, 0.07, 0.012  # of roll, pitch and yaw trim, between flights of other days (sd; METHOD section 5)
 # Places in the parameters: 1 for torque commands; 1 where the pull is felt; how many rotors; parts of a tick, rows of a
 # part, row period, ticks of a window; of the spec pull, turn, variances of k1, k2 and b1, mean, about and spread; gains
@@ -281,10 +281,10 @@ def best_rise(par: Floats, shift: Floats) -> float:
             found, most = a, explained
         c, d = par[UNMIXING + rotor], par[UNMIXING + n + rotor]
         told = (c * shift[0] + d * shift[1] - abs(c * shift[1] - d * shift[0])) / (c * c + d * d)
-        away = ARM_SD * math.sqrt(c * c * roll + d * d * pitch) / (c * c + d * d)
+        away = SURE_SD * math.sqrt(c * c * roll + d * d * pitch) / (c * c + d * d)
         if lift > away:
             lifted = max(lifted, (min(told, lift) - away) / (1.0 - away / lift))
-    error = max(0.0, par[ERROR + 2] * shift[RATE] ** 2 - par[DAYS])
+    error = max(0.0, SURE_SD**2 * par[ERROR + 2] * shift[RATE] ** 2 - par[DAYS])
     return max(lifted, found / math.sqrt(1.0 + error / par[SPREAD + 2] ** 2))
 
 
@@ -485,12 +485,13 @@ class RotorTrim(TrimMonitor[RotorTrimSpec]):
     """Statistic: the rise of ONE rotor's command that explains the trim shift best [fraction of hover].
 
         m: trim averaged over 5 s,    mu: the healthy one,    a_j: rise of rotor j that explains m - mu
-        rotor = argmax_j a_j |c_j|,    statistic = a_rotor / sqrt(1 + max(0, P_11 (r - r0)^2 - s^2)/sd_yaw^2)
+        rotor = argmax_j a_j |c_j|,    statistic = a_rotor / sqrt(1 + max(0, 9 P_11 (r - r0)^2 - s^2)/sd_yaw^2)
 
     A payload, a weak battery or a shifted centre of mass move roll and pitch, not yaw; these have at least three times
     yaw's spread, so the evidence is mostly yaw, and roll and pitch settle which rotor it is. To their spread the error
     of k times the change of the pull is added in squares, but not where a rotor is named. r - r0: yaw rate of the same
-    5 s less that of the healthy flights, P_11: variance of b1, s: what the yaw trim differs by on other days anyway.
+    5 s less that of the healthy flights, P_11: variance of b1, s: what the yaw trim differs by on other days anyway;
+    nine times, for an error of one standard deviation is common.
 
     Warm-up: 5 s of unbroken valid flight. Latency: up to 5 s. False alarms: a change of propellers or of the centre of
     mass; two flights from two sessions are the worst basis. Blind spots: hops shorter than 5 s; vibration without loss
