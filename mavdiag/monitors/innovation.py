@@ -73,21 +73,23 @@ class InnovationSpec:
 @allocating
 def _squares(par: Floats, mem: Floats, x: Floats, known: int) -> Floats:
     """z^2 of the three axes, (3, n)."""
-    out = np.empty((3, x.shape[1] - known))
+    out, alpha, slow = np.empty((3, x.shape[1] - known)), par[ALPHA], par[SLOW]
     for axis in range(3):
         of, to = par[AXES + axis * OF_AXIS : AXES + (axis + 1) * OF_AXIS], out[axis]
         busy, drift = mem[BUSY + axis], mem[DRIFT + axis]
-        u, y, mean, alpha = x[U + axis, known - LAG :], x[GYRO + axis, known - LAG :], of[MEAN_AT], par[ALPHA]
+        u, y, mean = x[U + axis, known - LAG :], x[GYRO + axis, known - LAG :], of[MEAN_AT]
         for k in range(len(to)):
             e = y[k + LAG] - mean
             for j in range(LAG):
                 e += of[A + j] * (y[k + LAG - 1 - j] - mean) - of[B + j] * u[k + LAG - 1 - j]
             command = u[k + LAG] if math.isfinite(u[k + LAG]) else 0.0
             busy += alpha * (command * command - busy)
-            z = (e - drift) / math.sqrt(of[K0] + of[K1] * busy)
-            to[k] = min(z * z, MOST * MOST)
-            if math.isfinite(z):
-                drift += par[SLOW] * (e - drift) * LIMIT / max(abs(z), LIMIT)
+            new, variance = e - drift, of[K0] + of[K1] * busy
+            to[k] = min(new * new / variance, MOST * MOST)
+            if to[k] <= LIMIT * LIMIT:
+                drift += slow * new
+            elif math.isfinite(new):
+                drift += slow * math.copysign(LIMIT * math.sqrt(variance), new)
         mem[BUSY + axis], mem[DRIFT + axis] = busy, drift
     return out
 
