@@ -54,7 +54,7 @@ def test_a_push_is_a_fault_at_its_time_and_a_healthy_flight_is_not() -> None:
     verdict = pushed().verdict
     assert verdict.verdict is Verdict.FAULT
     first = verdict.events[0]
-    assert (first.t_s, first.statistic) == (pytest.approx(6.15, abs=0.15), pytest.approx(0.6, abs=0.12))
+    assert np.abs(np.array([first.t_s - 6.15, first.statistic - 0.6]) / (0.15, 0.12)).max() < 1.0
     assert verdict.monitors[0].maximum == first.statistic
     assert verdict.reason.startswith("fsd on roll 0.")
     assert [one.stage for one in verdict.changes if one.stage is not Stage.SUSPECTED][:2] == [Stage.QUIET, Stage.FAULT]
