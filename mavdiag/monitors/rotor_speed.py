@@ -237,8 +237,8 @@ class RotorSpeed(Monitor[RotorSpeedSpec]):
 
     sigma: the healthy rms, no less than APART. A window whose ticks scatter, or have little weight, says less.
     If rotor j alone turns a share d faster, the mean has d/n of it: so n/(n - 1) D_j = d, and the others are d/(n - 1).
-    `level` has the sign, above 0 for less drag. `rotors` are the sizes of all of them. Lowest rate: 10 Hz of the gyro,
-    and each ESC once in 1.5 s.
+    `level` has the sign, above 0 for less drag. `rotors` are n/(n - 1) |D_j|, all times the least of these factors, so
+    that no rotor is named for a surer command. Lowest rate: 10 Hz of the gyro, and each ESC once in 1.5 s.
 
     Warm-up: 5 s of unbroken valid flight with the outputs and speeds of all rotors. Latency: up to 5 s. False alarms:
     propellers that were changed and not told (`baseline extend --new-propellers`), for a new one differs as much as a

@@ -297,7 +297,7 @@ def write(par: Floats, mem: Floats, shift: Floats, sound: bool, out: Floats, rot
     roll, pitch, yaw = par[SPREAD] ** 2, par[SPREAD + 1] ** 2, par[SPREAD + 2] ** 2
     for rotor in range(rotors.shape[1]):
         c, d, e = par[UNMIXING + rotor], par[UNMIXING + n + rotor], par[UNMIXING + 2 * n + rotor]
-        apart = par[DRAG] * e * e * (shift[0] ** 2 + shift[1] ** 2) / (c * c + d * d)
+        apart = par[DRAG] * e * e * (shift[0] ** 2 + shift[1] ** 2) / max(c * c + d * d, 1e-12)  # 0 in the centre
         rotors[k, rotor] = rise(par, rotor, shift, roll, pitch, yaw + apart)[1] * par[UNMIXING + 3 * n]
     if out.shape[0] > col.TRACE:
         means = np.empty(MEANS)

@@ -181,15 +181,15 @@ class AlignState:
 
     def _make_room(self, place: int, count: int) -> int:
         """Move the samples that are kept to the front, of longer arrays if need be; returns where the next are put."""
-        (lo, hi), end = self.streams.marks[place, :END].tolist(), self.ends[place]
-        kept, (times, hosts, values) = end - lo, self.into[place]
+        (lo, hi), end, old = self.streams.marks[place, :END].tolist(), self.ends[place], self.streams
+        kept, one, rows = end - lo, slice(place, place + 1), slice(*old.firsts[place : place + 2].tolist())
         if kept + count + ROOM // 2 > self.room:
             self.room = ROOM + 3 * (kept + count) // 2
             longer = (_widened(one, self.room, np.empty) for one in self.streams[:3])
             self.streams = self.streams._replace(**dict(zip(("times", "hosts", "values"), longer, strict=True)))
             self._look()
-        for new, old in zip(self.into[place], (times, hosts, values), strict=True):
-            new[:kept] = old[lo:end]
+        for at, now, before in zip((one, one, rows), self.streams[:3], old[:3], strict=True):  # with the doubt
+            now[at, :kept] = before[at, lo:end]
         self.streams.marks[place, :END] = 0, hi - lo
         return int(kept)
 

@@ -147,13 +147,8 @@ def test_the_first_disorder_of_an_orderly_link_changes_no_row_where_what_is_late
 @given(seed=st.integers(0, 1000), lost=st.sampled_from([0.0, 0.05, 0.5]), edges=cuts, lag_ms=st.integers(0, 4))
 def test_on_an_orderly_link_any_cut_gives_the_logs_rows(seed: int, lost: float, edges: list[int], lag_ms: int) -> None:
     """With every signal but the gyro behind it by less than what counts as disorder."""
-    whole = arrived(seed, lost=lost)
-    telemetry = Telemetry(
-        tuple(
-            Series(s.signal, s.t_ns, s.host_ns + lag_ms * 1_000_000 * (s.signal is not Signal.BODY_RATE), s.values)
-            for s in whole.series
-        )
-    )
+    lags = ((s, lag_ms * 1_000_000 * (s.signal is not Signal.BODY_RATE)) for s in arrived(seed, lost=lost).series)
+    telemetry = Telemetry(tuple(Series(s.signal, s.t_ns, s.host_ns + lag_ns, s.values) for s, lag_ns in lags))
     expected, _ = run(SPEC, [telemetry])
     assert_equal(run(SPEC, cut(telemetry, sorted(edges)))[0], expected)
     assert_equal(run(SPEC, cut(telemetry, ticks(2_000_000)))[0], expected)

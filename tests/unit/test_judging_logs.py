@@ -54,8 +54,7 @@ def test_a_push_is_a_fault_at_its_time_and_a_healthy_flight_is_not() -> None:
     verdict = pushed().verdict
     assert verdict.verdict is Verdict.FAULT
     first = verdict.events[0]
-    assert 6.0 < first.t_s < 6.3
-    assert first.statistic == pytest.approx(0.6, abs=0.12)
+    assert np.abs(np.array([first.t_s - 6.15, first.statistic - 0.6]) / (0.15, 0.12)).max() < 1.0
     assert verdict.monitors[0].maximum == first.statistic
     assert verdict.reason.startswith("fsd on roll 0.")
     assert [one.stage for one in verdict.changes if one.stage is not Stage.SUSPECTED][:2] == [Stage.QUIET, Stage.FAULT]
@@ -79,27 +78,28 @@ def test_what_cannot_be_judged_says_why(telemetry: Telemetry, profile: str, reas
 def test_b1_what_no_deciding_monitor_judged_is_not_healthy() -> None:
     """B1: `scan --monitors effort` called an 8 mm cut healthy, though the monitor gave no valid value."""
     short = judge(logged(flying(450, 1)), trim())
-    assert short.verdict is Verdict.NOT_JUDGEABLE
-    assert short.judged_s == 0
+    assert (short.verdict, short.judged_s) == (Verdict.NOT_JUDGEABLE, 0)
     assert short.reason == (
         "judged 0.0 s of 3.5 s (0 %), without 1.0 s of take-off or start: "
         "not judged by rotor_trim (waiting for enough unbroken flight)"
     )
     silent = judge(logged(without(flying(2000, 1), ALL, signals=(Signal.ACTUATOR,))), trim())
-    assert silent.verdict is Verdict.NOT_JUDGEABLE
-    assert silent.reason.endswith("of take-off or start: not judged by rotor_trim (no actuator)")
+    told = silent.reason.partition(" of take-off or start: ")[2]
+    assert (silent.verdict, told) == (Verdict.NOT_JUDGEABLE, "not judged by rotor_trim (no actuator)")
 
 
 def test_b1_healthy_says_which_monitors_judged_for_how_long_and_which_did_not() -> None:
     """B1: the innovation monitor alone sufficed for "healthy", without a word of the others."""
     verdict = judge(logged(without(flying(2500, 1), ALL, signals=(Signal.ACTUATOR,))), whole())
-    assert verdict.verdict is Verdict.HEALTHY
     assert verdict.reason.startswith("no alarm; judged 24.0 s of 24.0 s (100 %) by innovation, rotor_signature, ")
     assert "; not judged by rotor_trim (no actuator" in verdict.reason
     log = logged(without(flying(2500, 1), (9.0, 99.0), signals=(Signal.ACTUATOR,)))
     ceases, alone = judge(log, whole()).reason, judge(log, trim(), 0.1).reason
     assert re.search(r"; not judged by rotor_trim \(.*; it judged [1-9] s\)", ceases), ceases
     assert re.search(r"no alarm; .* start; nothing judged from [^(]* \(no actuator", alone), alone
+    lost = without(flying(8000, 1), (5.0, 30.0), signals=(Signal.ATTITUDE_SETPOINT,))
+    dead = judge(logged(changed(lost, Signal.BODY_RATE, lambda _: 0.0, 50.0, 62.0)), whole()).reason
+    assert re.search(r"no alarm; .*; nothing judged from [^(]* \(gyro", dead), dead  # not "no attitude setpoint"
     assert "not judged by innovation (too little flight)" in judge(logged(flying(700, 1)), flown()).reason
     told = verdict_json(verdict)
     assert [verdict.judged_s, verdict.flown_s, told["judged_s"], told["flown_s"]] == pytest.approx([24] * 4, abs=0.1)
