@@ -28,6 +28,7 @@ TOML_BYTES = 32 << 10  # the longest of ours has 7 kB; tomllib takes seconds for
 TEXT_BYTES = 8 << 20  # baselines have some hundred kilobytes (our choice)
 SHELF_BYTES = 8 << 20  # of arrays that a shelf keeps in memory before it opens its file (our choice)
 COLUMN_BYTES = 8 << 20  # of a column that comes piece by piece, until it goes into a file (our choice)
+COLUMN_ROWS = 512  # that it has room for at first: what a live link brings in two seconds (our choice)
 COLLECT_AT = 20_000  # containers more than before; a tick of a full link makes some thousands (our choice; Python: 700)
 KEPT = 8  # our choice: fewer are given back and faulted in again for each flight, and the most memory is the same
 MMAP_THRESHOLD, TRIM_THRESHOLD = -3, -1  # options of mallopt(3)
@@ -218,7 +219,7 @@ class Column:
     """
 
     def __init__(self, like: NDArray[Any]) -> None:
-        self._rows, self._count = np.empty((0, *like.shape[1:]), like.dtype), 0
+        self._rows, self._count = np.empty((COLUMN_ROWS, *like.shape[1:]), like.dtype), 0
         self._file: BinaryIO | None = None
 
     def add(self, rows: NDArray[Any]) -> None:

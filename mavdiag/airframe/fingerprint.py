@@ -72,7 +72,6 @@ class Trait:
 
 
 WIRED = ("roll outputs", "pitch outputs")
-MOTORS = ("motors", *WIRED)
 _1_5, _2, _20 = map(math.log, (1.5, 2, 20))
 
 #: What `traits` gives, in this order; the limits are ours, held against recorded sessions, cuts, tape and weights.
@@ -90,7 +89,7 @@ TRAITS = (
     # how far roll and pitch move the outputs as the layout says, -1..1, where any order of them fits (`detect.wired`)
     *(Trait(name, 0.05, far_low=0.65, log=False) for name in WIRED),
 )
-TRIM, NOISE = slice(0, 3), slice(3, 9)
+TRIM, NOISE, LEVELS, MOTORS = slice(0, 3), slice(3, 9), slice(9, 11), slice(11, 14)
 Bends: TypeAlias = tuple[FloatArray, FloatArray]  # of `_bends`
 
 
@@ -215,8 +214,8 @@ class Beginning:
             border = window_rows(border_s, block.dt_s) - self._valid
             if 0 < border <= len(at):
                 stop = int(at[border - 1]) + 1
-                self._keep(rows.part(first, stop))
-                self._shown, self._rows, self._valid = self._seen(), [], self._valid + border
+                self._shown = self._seen(rows.part(first, stop))
+                self._rows, self._valid = [], self._valid + border
                 at, first, self.whole = at[border:], stop, border_s == FIRST_S
                 found = self.likeness(motors=not self.whole) if border_s in (MOTORS_S, FIRST_S) else None
                 if found is not None and (self.whole or found.outcome is Outcome.FAR):
@@ -230,17 +229,16 @@ class Beginning:
 
         motors: only these count: how many there are, and on which outputs.
         """
-        figures = (one for one in self._learnt.figures if one.name in MOTORS or not motors)
-        learnt = {one.name: (one.mean, one.spread) for one in figures}
-        return _compared(_figures(self._seen(), self._layout), learnt, self._layout)
+        learnt = {one.name: (one.mean, one.spread) for one in self._learnt.figures}
+        return _compared(_figures(self._seen(), self._layout, motors=motors), learnt, self._layout)
 
     def _keep(self, rows: Rows) -> None:
         block = rows.block
         x = block.x[: OUTPUTS + block.outputs].copy()  # without the room
         self._rows.append(Rows(Block(block.segment, block.dt_s, block.t_ns, x, block.outputs), rows.rates_ns))
 
-    def _seen(self) -> list[_Shown]:
-        return [*self._shown, *(_shown(block, self._layout) for block in joined(self._rows))]
+    def _seen(self, *latest: Rows) -> list[_Shown]:
+        return [*self._shown, *(_shown(block, self._layout) for block in joined([*self._rows, *latest]))]
 
 
 def compare(learnt: Fingerprint, flight: Sequence[Rows], layout: RotorLayout | None) -> Likeness:
@@ -352,19 +350,18 @@ def _shown(block: Block, layout: RotorLayout | None) -> _Shown:
     return _Shown(trim, gyro, felt, block.thrust[calm], levels, outputs, wires)
 
 
-def _figures(shown: Sequence[_Shown], layout: RotorLayout | None) -> FloatArray:
+def _figures(shown: Sequence[_Shown], layout: RotorLayout | None, *, motors: bool = False) -> FloatArray:
+    """As `traits` has them. motors: only `MOTORS`, the others NaN."""
+    figures = np.full(len(TRAITS), np.nan)
+    wires = wired(np.sum([one.wires for one in shown], axis=0), layout) if layout and shown else (np.nan, np.nan)
+    figures[MOTORS] = _motors([one.outputs for one in shown]), *wires
+    if motors:
+        return figures
     trim = np.concatenate([np.empty((0, 3)), *(one.trim for one in shown)])
-    return np.array(
-        [
-            *(np.median(trim, axis=0) if len(trim) else np.full(3, np.nan)),
-            *_noise([one.gyro for one in shown]),
-            *_noise([one.felt for one in shown]),
-            _level([one.thrust for one in shown]),
-            _level([one.levels for one in shown]),
-            _motors([one.outputs for one in shown]),
-            *(wired(np.sum([one.wires for one in shown], axis=0), layout) if layout and shown else (np.nan, np.nan)),
-        ]
-    )
+    figures[TRIM] = np.median(trim, axis=0) if len(trim) else np.nan
+    figures[NOISE] = *_noise([one.gyro for one in shown]), *_noise([one.felt for one in shown])
+    figures[LEVELS] = _level([one.thrust for one in shown]), _level([one.levels for one in shown])
+    return figures
 
 
 def _calm(block: Block) -> BoolArray:

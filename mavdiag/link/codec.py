@@ -323,7 +323,8 @@ class Frames:
         chosen = np.zeros(len(self), np.bool_)
         for msgid in msgids:
             chosen |= self.rows["row"] == ROWS[msgid]
-        return self.where(chosen if compid is None else chosen & (self.rows["sender"] & 0xFF == compid))
+        found = self.where(chosen)
+        return found if compid is None else found.where(found.rows["sender"] & 0xFF == compid)
 
     def counts(self, compid: int = AUTOPILOT) -> Counter[int]:
         """How many of each message came from a component."""

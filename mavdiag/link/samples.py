@@ -259,7 +259,9 @@ def joined(pieces: Iterable[Telemetry]) -> Telemetry:
 
 def _shared(like: NDArray[Any], known: list[NDArray[Any]]) -> NDArray[Any]:
     """An array that is the same, if there is one; few rows are not looked for."""
-    alike = (one for one in known if len(like) > LARGE and np.array_equal(one[:LARGE], like[:LARGE]))
+    if len(like) <= LARGE:
+        return like
+    alike = (one for one in known if np.array_equal(one[:LARGE], like[:LARGE]))
     found = next((one for one in alike if np.array_equal(one, like)), like)
     known += [like] if found is like else []
     forget(*known)

@@ -68,10 +68,9 @@ def free_run(par: FloatArray, taps: int, order: int, mem: FloatArray, past: int,
 
     taps: where b_0 .. b_order and a_1 .. a_order stand. past: where s_1 .. s_order do.
     """
-    y = par[taps] * u + mem[past]
-    for k in range(1, order):
-        mem[past + k - 1] = par[taps + k] * u - par[taps + order + k] * y + mem[past + k]
-    mem[past + order - 1] = par[taps + order] * u - par[taps + 2 * order] * y
+    y, after = par[taps] * u + mem[past], 0.0
+    for k in range(order, 0, -1):
+        after, mem[past + k - 1] = mem[past + k - 1], par[taps + k] * u - par[taps + order + k] * y + after
     return float(y)
 
 
