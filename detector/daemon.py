@@ -35,6 +35,7 @@ from mavdiag.link.messages import MavCmd, MessageId
 from mavdiag.link.ports import PEER_FRESH_S, Endpoint, Kind, parse_address
 from mavdiag.link.profiles import PROFILES, Profile
 from mavdiag.link.vehicles import PUZZLED_S
+from mavdiag.printable import counted
 from mavdiag.telemetry import Instant
 from mavdiag.units import NS_PER_S
 
@@ -145,7 +146,7 @@ class Daemon:
         learn_s, own = self._settings.learn, len(self._baselines)
         goals = ["watching by its baseline"] if self._baseline else []
         goals += [f"learning from {learn_s:g} s of healthy flight"] if learn_s and not self._baseline else []
-        whose = f"{own} vehicle{'s' if own > 1 else ''} by a baseline of its own"
+        whose = f"{counted(own, 'vehicle')} by a baseline of its own"
         goals += [whose if goals else f"watching {whose}"] if own else []
         behind = "".join(f", forwarding to {endpoint.address}" for endpoint in self._behind)
         for rule in parse_rules(self._settings.on_fault):

@@ -30,7 +30,7 @@ from mavdiag.airframe.fingerprint import Fingerprint
 from mavdiag.errors import BaselineError, InputError, MavdiagError
 from mavdiag.monitors import NEED_LAYOUT, by_name, monitor_of
 from mavdiag.monitors.spec import NotNegative, Positive
-from mavdiag.printable import printable
+from mavdiag.printable import counted, printable
 from mavdiag.rows.align import Grid
 from mavdiag.rows.gate import GateSpec
 from mavdiag.rows.grid import NATIVE_TOLERANCE, rate_tolerance
@@ -304,7 +304,7 @@ class Baseline(Part, Tabular):
             lines.append(f"{'envelope':<15} {covered}" + (f"; {advice} to widen it" if advice else ""))
         lines += [f"{one.monitor:<15} not judgeable: {one.reason}" for one in self.not_judgeable]
         lines.append(f"promises   {self.promises}")
-        lines.append(f"support    {len(self.provenance.logs)} flights, {self.healthy_hours:.3f} h of flight")
+        lines.append(f"support    {counted(len(self.provenance.logs), 'flight')}, {self.healthy_hours:.3f} h of flight")
         lines.append(f"made       {self.provenance.created} by {self.provenance.tool}")
         return "\n".join([*map(printable, lines), self.conclusion])
 
@@ -326,11 +326,11 @@ class Baseline(Part, Tabular):
         days = ENOUGH_SESSIONS - len({one.session for one in self.provenance.logs})
         by_maximum = any(entry.threshold.rule is ThresholdRule.MAXIMUM for entry in self.monitors)
         if by_maximum and (missing := GUARANTEE_FLIGHTS - flights) > 0:
-            advice.append(f"{missing} more flights, for a 95/95 guarantee by the longest healthy run")
+            advice.append(f"{counted(missing, 'more flight')}, for a 95/95 guarantee by the longest healthy run")
         elif not self.supported:
             advice.append(f"{LEAST_FLIGHTS} flights or more, of {LEAST_S / 60:g} min in all")
         elif days > 0:
-            advice.append(f"healthy flights of {days} more day{'s' if days > 1 else ''} (`mavdiag baseline extend`)")
+            advice.append(f"healthy flights of {counted(days, 'more day')} (`mavdiag baseline extend`)")
         if not names & {"rotor_trim", "trim_step"}:
             advice.append("the motors' outputs, calmly flown" if names - {"fsd"} else "all monitors")
         if not names & {"unbalance", "vibration_level"}:

@@ -17,9 +17,10 @@ from mavdiag.errors import BaselineError, InputError, UsageError
 from mavdiag.kernel import Account, Piece, Stretch
 from mavdiag.monitors import by_name
 from mavdiag.monitors.base import FaultKind
+from mavdiag.printable import counted
 from mavdiag.rows.front import Rows, in_pieces
 from mavdiag.rows.gate import hidden_flight
-from mavdiag.rows.grid import measure_grid
+from mavdiag.rows.grid import measure_grid, onward
 from mavdiag.rows.upsets import motion_of, upset_in
 from mavdiag.tabular import Tabular
 from mavdiag.telemetry import Axis, FloatArray, Log, Signal
@@ -146,6 +147,7 @@ def judge_in_full(
     def refused(reason: str, rate_hz: float = 0.0) -> JudgedFlight:
         return JudgedFlight(LogVerdict(log.name, Verdict.NOT_JUDGEABLE, reason, profile=log.profile, rate_hz=rate_hz))
 
+    log = onward(log)
     try:
         dt_s, _ = measure_grid(log.telemetry)
     except InputError as error:
@@ -284,7 +286,7 @@ class _Run:
         """What was suspected though no fault was declared; empty if nothing was."""
         if self.events:
             names = ", ".join(dict.fromkeys(event.monitor for event in self.events))
-            count = f"{len(self.events)} alarm{'s' if len(self.events) != 1 else ''} of {names}"
+            count = f"{counted(len(self.events), 'alarm')} of {names}"
             single = all(not monitor.decides for monitor in self.monitors if monitor.alarms)
             own = ", which decides nothing alone" if single else ""
             return f"{count}{own}{self._when(self.events[0].start_ns)}"

@@ -18,3 +18,8 @@ def printable(text: str, keep: str = "") -> str:
     return "".join(
         repr(one)[1:-1] if unicodedata.category(one) in _STEERING and one not in keep else one for one in text
     )
+
+
+def counted(count: int, noun: str) -> str:
+    """A count before its noun, which has an s unless it is one."""
+    return f"{count} {noun}{'' if count == 1 else 's'}"

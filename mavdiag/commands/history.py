@@ -6,6 +6,7 @@ import time
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
@@ -35,7 +36,8 @@ FILE = "mavdiag-history.sqlite"
 
 Database: TypeAlias = Annotated[str, Option(metavar="FILE|URL", help="SQLite, or postgresql://user@host/name.")]
 Ordered: TypeAlias = Literal["named", "file-time"]
-AirframeName: TypeAlias = Annotated[str | None, Option("--airframe", metavar="NAME", help="Only this airframe.")]
+NAME = partial(Option, metavar="NAME", callback=lambda name: name and printable(name))
+AirframeName: TypeAlias = Annotated[str | None, NAME("--airframe", help="Only this airframe.")]
 
 app = application(
     "Keep the judged flights of airframes, draw their trends, warn before a threshold is reached.\n\n"
@@ -48,7 +50,7 @@ app = application(
 def add(
     logs: opt.Logs,
     baseline: opt.BaselineFile,
-    airframe: Annotated[str | None, Option(metavar="NAME", help="Whose they are; else the baseline's.")] = None,
+    airframe: Annotated[str | None, NAME(help="Whose they are; else the baseline's.")] = None,
     database: Database = FILE,
     again: Annotated[bool, Option("--again", help="Judge and replace flights that are there already.")] = False,
     vehicle: opt.Vehicle = None,
@@ -68,7 +70,7 @@ def add(
         raise UsageError("--at and --ordered file-time both say when; give one of them")
     reference = Baseline.load(baseline)
     question = Question.of(reference, Options(vehicle, figures=True, flown_ns=0 if at is None else _time(at)))
-    name = reference.airframe.name if airframe is None else printable(airframe)
+    name = reference.airframe.name if airframe is None else airframe
     if not name.strip():
         raise UsageError("the airframe needs a name; give --airframe NAME")
     failed, found = 0, opt.find_logs(logs)[0].logs
@@ -120,7 +122,7 @@ def show(
 
 @app.command()
 def mark(
-    airframe: Annotated[str, Option(metavar="NAME", help="Whose it is.")],
+    airframe: Annotated[str, NAME(help="Whose it is.")],
     new_propellers: Annotated[bool, Option("--new-propellers", help="The propellers are new.")] = False,
     repair: Annotated[bool, Option("--repair", help="Something else was repaired.")] = False,
     at: Annotated[str | None, Option(metavar="TIME", help="When, ISO 8601 (UTC if without zone); else now.")] = None,

@@ -15,6 +15,7 @@ from mavdiag.baseline import Baseline
 from mavdiag.commandline import application, say
 from mavdiag.commands import options as opt
 from mavdiag.commands.progress import each, sizes_of, working
+from mavdiag.errors import UsageError
 from mavdiag.face import now, with_airframe
 from mavdiag.identify import Method
 from mavdiag.learning import ALL_MONITORS, LearnOptions, learn
@@ -22,6 +23,7 @@ from mavdiag.learning.learn import extend as extended
 from mavdiag.learning.suspicions import accepted
 from mavdiag.logs import read_part
 from mavdiag.monitors.run_length import MarginRule, RunLength
+from mavdiag.printable import counted
 from mavdiag.telemetry import Log
 from mavdiag.thresholds.rule import BUDGET_PER_HOUR, FLIGHTS_PER_SUSPICION, ThresholdRule
 
@@ -86,8 +88,8 @@ def identify(
         return say(f"{baseline}\nwritten to {output}")
     if baseline.layout_doubt:
         say(baseline.layout_doubt, err=True)
-    count, hours = len(baseline.provenance.logs), baseline.healthy_hours
-    return say(f"written to {output}, from {count} flights of {60 * hours:.1f} min in all\n{baseline.conclusion}")
+    count, hours = counted(len(baseline.provenance.logs), "flight"), baseline.healthy_hours
+    return say(f"written to {output}, from {count} of {60 * hours:.1f} min in all\n{baseline.conclusion}")
 
 
 def make_baseline(
@@ -100,15 +102,17 @@ def make_baseline(
     columns: Path | None = None,
 ) -> Baseline:
     """A baseline from log files, folders and patterns, stamped with the time of now. columns: map of CSV recordings."""
-    with _taken("learning from", logs, vehicle, (from_s, to_s), columns) as flights:
+    with _taken("learning from", logs, vehicle, (from_s, to_s), columns) as (count, flights):
+        if (options.sessions or 0) > count:
+            raise UsageError(f"--sessions {options.sessions}: at most {count}, one for each log")
         return learn(flights, options, created=now())
 
 
 @contextmanager
 def _taken(
     what: str, logs: Sequence[Path], vehicle: int | None, cut: tuple[float | None, float | None], columns: Path | None
-) -> Iterator[Iterator[Log]]:
-    """The logs that are named, each read as it is taken; a spinner from the last one on, until the block ends.
+) -> Iterator[tuple[int, Iterator[Log]]]:
+    """How many logs are named, and these, each read as it is taken; a spinner from the last one on.
 
     what: is done with them. cut: first and last time of the vehicle's clock that count [s], None for no limit.
     """
@@ -119,9 +123,9 @@ def _taken(
         def taken() -> Iterator[Log]:
             for path in each(paths, "read", sizes_of(paths)):
                 yield read_part(path, vehicle, *cut, mapped)
-            stack.enter_context(working(f"{what} {len(paths)} flights ..."))
+            stack.enter_context(working(f"{what} {counted(len(paths), 'flight')} ..."))
 
-        yield taken()
+        yield len(paths), taken()
 
 
 app = application("Look into a baseline file, or add healthy flights to it.")
@@ -157,7 +161,7 @@ def extend(
     """Add healthy flights of another session, or tell that the propellers are new."""
     check_output(output, *logs, columns, kind=AS_BASELINE)
     baseline = Baseline.load(file)
-    with _taken("adding", logs, vehicle, (from_s, to_s), columns) as flights:
+    with _taken("adding", logs, vehicle, (from_s, to_s), columns) as (_, flights):
         longer = extended(baseline, flights, new_propellers=new_propellers, created=now())
     if not accept:
         accepted(longer, "--accept")

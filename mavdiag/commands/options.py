@@ -13,6 +13,7 @@ from mavdiag.errors import UsageError
 from mavdiag.identify import Order
 from mavdiag.logs import is_log
 from mavdiag.logs.csv_columns import ColumnMap, is_csv, load_column_map
+from mavdiag.printable import counted
 from mavdiag.telemetry import Axis
 
 Accept: TypeAlias = Annotated[
@@ -83,6 +84,5 @@ def find_logs(arguments: Iterable[str | Path], columns: Path | None = None) -> t
     mapped = None if columns is None else load_column_map(columns)
     found = logs_named(arguments, is_log if mapped is None else is_csv)
     if found.skipped:
-        plural = "s" if found.skipped > 1 else ""
-        say(f"{found.skipped} file{plural} skipped that are no flight logs", err=True)
+        say(f"{counted(found.skipped, 'file')} skipped that are no flight logs", err=True)
     return found, mapped

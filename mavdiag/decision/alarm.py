@@ -33,7 +33,8 @@ from mavdiag.units import NS_PER_S
 __all__ = ["LOOK_NS", "NOTHING_SEEN", "Change", "DecisionSpec", "Diagnosis", "Event", "Stage", "landed"]
 
 CLEAR_NS = 2 * NS_PER_S  # all calm for so long ends a suspicion, or what is seen of a fault (our choice)
-# A propeller fault that names no rotor is declared so much later: a noisy sensor shows as one until then (our choice).
+# A propeller fault that names no rotor is declared once it is still seen so much later: until then a noisy sensor
+# shows as one, and so do stamps that scatter, for then no later value is judged (our choice).
 DOUBT_NS = 3 * NS_PER_S // 10
 # Of flight that a suspicion rests on: two windows of the innovation (our choice, after a recorded healthy flight whose
 # three axes were disturbed together for 1 s).
@@ -351,7 +352,8 @@ def _height_now(state: DecisionState, fresh: Sequence[Reading], t_ns: int) -> tu
     state = _since(state, height, t_ns)
     if state.calm_ns is not None and t_ns - state.calm_ns >= CLEAR_NS:
         return state, Height.SETTLED
-    if state.over_ns is not None and t_ns - state.over_ns < DOUBT_NS and not state.decided.seen:
+    over_ns = max((one.at_ns for one, own in zip(fresh, heights, strict=True) if own is Height.OVER), default=t_ns)
+    if state.over_ns is not None and min(t_ns, over_ns) - state.over_ns < DOUBT_NS and not state.decided.seen:
         kind = grown(None, fresh, 0)
         checked = any(one.slot.monitor.kind is FaultKind.SENSOR for one in fresh)  # without these nothing is waited for
         doubtful = checked and kind is FaultKind.PROPELLER and named(kind, fresh, False).rotor is None

@@ -16,7 +16,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from mavdiag.kernel import RATIO, READ, READ_ROTORS, Slot
+from mavdiag.kernel import AT, LOOK_NS, RATIO, READ, READ_ROTORS, Slot
 from mavdiag.monitors.base import FaultKind
 from mavdiag.units import NS_PER_S
 
@@ -28,22 +28,21 @@ SILENT_BELOW = 0.5  # of the threshold (our choice)
 
 
 class Reading(NamedTuple):
-    """A slot's latest look that had a valid value: the highest statistic over threshold, the last statistic in it, and
-    the last evidence for each rotor, or arm that rotors share; empty if the slot has none."""
+    """A slot's latest look that had a valid value: the highest statistic over threshold, the last statistic in it, the
+    last evidence for each rotor, or arm that rotors share (empty if the slot has none), and when that was [ns]."""
 
     slot: Slot
     ratio: float
     value: float = math.nan
     rotors: tuple[float, ...] = ()
+    at_ns: float = math.inf
 
     @classmethod
     def of(cls, slot: Slot, row: Sequence[float]) -> "Reading":
         """From `kernel.RATIO` and its fellows of a slot."""
-        if not slot.monitor.rotors:
-            return cls(slot, row[RATIO], row[READ])
-        arms, rotors = slot.evidence.arms if slot.evidence else (), row[READ_ROTORS:]
+        arms, rotors = slot.evidence.arms if slot.evidence else (), row[READ_ROTORS:] if slot.monitor.rotors else ()
         by_arm = (max(rotors[rotor - 1] for rotor in arm.members) for arm in arms)
-        return cls(slot, row[RATIO], row[READ], tuple(by_arm) if arms else tuple(rotors))
+        return cls(slot, row[RATIO], row[READ], tuple(by_arm if arms and rotors else rotors), row[AT] * LOOK_NS)
 
     def motor(self, place: int) -> int:
         """The rotor, or the arm, whose evidence stands there."""

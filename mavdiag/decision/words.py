@@ -13,6 +13,7 @@ from mavdiag.airframe.trim import loss_of
 from mavdiag.decision.diagnosis import Change, Diagnosis, Event, Stage
 from mavdiag.monitors import BY_NAME, MONITORS, by_name
 from mavdiag.monitors.base import FaultKind
+from mavdiag.printable import counted
 from mavdiag.units import NS_PER_S
 
 if TYPE_CHECKING:  # a verdict is made above this module
@@ -102,7 +103,7 @@ def fault_reason(kind: FaultKind | None, faults: Sequence[Change], events: Seque
     evidence = f"{worst.monitor}{axis} {statistic:.{places}g} > {worst.threshold:.{places}g}"
     doubt = f"; {text}" if (text := _doubt(events)) else ""
     what = "" if kind in (None, FaultKind.PROPELLER) else f"{kind}: "
-    return f"{what}{evidence}{rotor}{graded}{doubt}, {_count(events)}"
+    return f"{what}{evidence}{rotor}{graded}{doubt}, {counted(len(events), 'alarm')}"
 
 
 def headline(verdict: "LogVerdict") -> str:
@@ -194,7 +195,7 @@ def certainty(verdict: "LogVerdict") -> str:
         return ""
     above = [f"{one.name.replace('_', ' ')} {one.ratio:.1f} times" for one in told if one.ratio > 1]
     named = [one for one in verdict.changes if one.confidence]
-    text = f"Above their thresholds: {', '.join(above) or 'none at the end'} ({_count(verdict.events)})."
+    text = f"Above their thresholds: {', '.join(above) or 'none at the end'} ({counted(len(verdict.events), 'alarm')})."
     if verdict.rotor is not None and named:
         text += f" The rotor is named with {100 * (named[-1].confidence or 0.0):.0f} % confidence."
     return text + (f" This alone does not tell the cause ({doubt})." if (doubt := _doubt(verdict.events)) else "")
@@ -237,7 +238,3 @@ def _doubt(events: Sequence[Event]) -> str:
     """What leaves the cause open, where the alarms of all deciding monitors share it; else empty."""
     doubts = {monitor.doubt for event in events if (monitor := by_name(event.monitor)).decides}
     return next(iter(doubts)) if len(doubts) == 1 else ""
-
-
-def _count(events: Sequence[Event]) -> str:
-    return f"{len(events)} alarm{'s' if len(events) != 1 else ''}"

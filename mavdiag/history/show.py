@@ -9,6 +9,7 @@ import numpy as np
 from mavdiag.archive.figures import FlightRecord
 from mavdiag.as_json import DIGITS, plain
 from mavdiag.history.warn import WARNS, Outlook, Overview, Review
+from mavdiag.printable import counted
 from mavdiag.telemetry import FloatArray
 from mavdiag.units import NS_PER_S
 
@@ -70,7 +71,7 @@ def lines_of(overview: Overview, width: int | None = None) -> tuple[Line, ...]:
     for number, stretch in enumerate(overview.stretches, 1):
         if stretch.began and stretch.flights:
             place = f"stretch {number} from flight {stretch.first} ({stretch.began})"
-            lines.append(Line(f"  {place}, {len(stretch.flights)} flights"))
+            lines.append(Line(f"  {place}, {counted(len(stretch.flights), 'flight')}"))
         elif stretch.began:
             lines.append(Line(f"  {stretch.began} after the last flight: no trend yet"))
     if overview.together is not None:
@@ -91,7 +92,7 @@ def _headline(overview: Overview) -> str:
     flights = overview.flights
     if not flights:
         return f"{overview.airframe}: no flights"
-    count, last = f"{len(flights)} flight{'' if len(flights) == 1 else 's'}", flights[-1].verdict.value
+    count, last = counted(len(flights), "flight"), flights[-1].verdict.value
     span = f"{day(flights[0].t_ns)} to {day(flights[-1].t_ns)}"
     return f"{overview.airframe}: {count}, {span}; the last one {last.replace('_', ' ')}"
 

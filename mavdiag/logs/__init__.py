@@ -17,6 +17,7 @@ from mavdiag.errors import InputError, UsageError
 from mavdiag.logs.csv_columns import ColumnMap, read_csv
 from mavdiag.logs.log import LogKind, read_bytes
 from mavdiag.rows.gate import GateSpec
+from mavdiag.rows.grid import onward
 from mavdiag.telemetry import Log, Telemetry
 from mavdiag.units import NS_PER_S
 
@@ -41,14 +42,14 @@ def read_log(
     vehicle that is no multirotor.
     """
     if columns is not None:
-        return read_csv(path, columns)
+        return onward(read_csv(path, columns))
     kind = _kind_of(path)
     if kind is None:
         raise InputError(f"{path}: not a flight log of a known kind ({', '.join(known.name for known in kinds())})")
     log = kind.read(path, vehicle, profile)
     if refused := refusal(log.mav_type):
         raise InputError(f"{path}: {refused}")
-    return log
+    return onward(log)
 
 
 def read_part(

@@ -19,6 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from mavdiag.errors import InputError
 from mavdiag.logs.log import LogKind, read_bytes, recorded
 from mavdiag.rows.gate import GateSpec
+from mavdiag.rows.grid import LEAST_SAMPLES
 from mavdiag.storage import read_toml
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Log, Signal, Telemetry
 from mavdiag.units import DEG, NS_PER_MS, NS_PER_S, NS_PER_US, RPM, G
@@ -30,6 +31,8 @@ TURN = 2.0**32  # of a counter of 32 bits
 _line_end = re.compile(rb"[\r\n]").search
 LINE_BYTES = 64 << 10  # of a line, at most (our choice): a thousand columns have a quarter of it
 DAMAGED_SHARE = 0.5  # of the rows: beyond it the map is wrong (our choice)
+STEPS_S = (1e-5, 1.0)  # between rows; others are of another unit than the map says (our choice)
+_decimal_comma = re.compile(r"\s*[+-]?\d+,\d+\s*").fullmatch
 
 SUFFIXES = (".csv", ".tsv", ".txt")
 _TIME_NS = {"s": NS_PER_S, "ms": NS_PER_MS, "us": NS_PER_US, "ns": 1}
@@ -126,6 +129,7 @@ def load_column_map(path: Path) -> ColumnMap:
 
 def read_csv(path: Path, columns: ColumnMap) -> Log:
     """A recording as a log of the profile "csv". A cell that is no number is unknown; a row without a time is left out.
+    Rows that are newest first are read from the last one on.
 
     Times are the vehicle's and start where the column does. Raises InputError if the file cannot be read, a column is
     not there, or most rows have no time or no gyro.
@@ -143,9 +147,15 @@ def read_csv(path: Path, columns: ColumnMap) -> Log:
         table = _table(path, lines, columns)
     except csv.Error as error:
         raise InputError(f"{path}: is no sound CSV file ({error}); save it again") from error
+    steps = np.diff(table[np.isfinite(table[:, 0]), 0])
+    newest_first = 2 * np.count_nonzero(steps < 0) > len(steps)
+    table = table[::-1] if newest_first else table
     t_ns, known = _times(table[:, 0], columns)
     if not len(t_ns):
         raise InputError(f"{path}: no row has a time; check the column map")
+    step_s = float(np.median(np.diff(t_ns))) / NS_PER_S if len(t_ns) >= LEAST_SAMPLES else 0.01
+    if step_s > 0 and not STEPS_S[0] <= step_s <= STEPS_S[1]:
+        raise InputError(f"{path}: by the column map its rows are {step_s:.3g} s apart; check the unit of the time")
     series, first = {}, 1
     for signal, part in columns.signals.items():
         values = table[known, first : first + len(part.columns)] * part.factors(signal)
@@ -156,7 +166,9 @@ def read_csv(path: Path, columns: ColumnMap) -> Log:
     left_out = len(table) - (len(series[Signal.BODY_RATE]) if Signal.BODY_RATE in series else 0)
     if left_out > (1 - DAMAGED_SHARE) * len(table):
         raise InputError(f"{path}: most rows have no gyro; check the column map")
-    notes = (f"{left_out} of {len(table)} rows have no time or no gyro and were left out",) if left_out else ()
+    lost = f"{left_out} of {len(table)} rows have no time or no gyro and were left out" if left_out else ""
+    order = "its rows are newest first and were read in order of time" if newest_first else ""
+    notes = tuple(filter(None, (lost, order)))
     digest = hashlib.sha256(data).hexdigest()
     return Log(path.name, digest, PROFILE, Telemetry(tuple(series.values())), notes=notes, motor_order=True)
 
@@ -172,6 +184,9 @@ def _table(path: Path, text: str, columns: ColumnMap) -> FloatArray:
     body = rest if header else text
     if not body.strip():
         raise InputError(f"{path}: it has no rows; check skip_lines and header of the column map")
+    cells = next(csv.reader([body.partition("\n")[0]], delimiter=delimiter), [])
+    if any(map(_decimal_comma, cells)) or (delimiter == "," and sum(map(bool, cells)) >= 2 * len(there)):
+        raise InputError(f"{path}: its numbers have a decimal comma; write them with a point")
     try:
         found = np.loadtxt(io.StringIO(body), delimiter=delimiter, usecols=places, ndmin=2, comments=None)
     except ValueError:

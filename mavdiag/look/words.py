@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 
 from mavdiag.look.figures import VIBRATION_HIGH, VIBRATION_USUAL, OutputLoad, RotorLine, Vibration
 from mavdiag.look.inspection import Clock, Inspection, Summary
-from mavdiag.printable import printable
+from mavdiag.printable import counted, printable
 
 WIDTH = 80
 NOTABLE = 0.05  # of the mean output: a rotor that is told in the one line of a log (our choice)
@@ -48,7 +48,7 @@ def parts_of(found: Inspection) -> list[str]:
     if found.line is not None and not found.line.reason:
         parts.append(f"line at {found.line.hz:.0f} Hz")
     works = sum(state.works for state in found.monitors)
-    parts.append(f"{works} of {len(found.monitors)} monitors could judge")
+    parts.append(f"{works} of {counted(len(found.monitors), 'monitor')} could judge")
     return parts
 
 
@@ -95,7 +95,7 @@ def _link(found: Inspection) -> str:
     gyro, text = found.gyro, "no gyro"
     if gyro is not None and gyro.rate_hz is not None:
         jitter = "" if gyro.jitter_ms is None else f", jitter {gyro.jitter_ms:.2f} ms"
-        long = f"{found.gyro_gaps} gaps too long to bridge, {found.lost_s:.1f} s in all"
+        long = f"{counted(found.gyro_gaps, 'gap')} too long to bridge, {found.lost_s:.1f} s in all"
         text = f"gyro at {gyro.rate_hz:.1f} Hz{jitter}, {long if found.gyro_gaps else 'no long gap'}"
     if found.link is None:
         return text

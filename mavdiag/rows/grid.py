@@ -2,12 +2,13 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from enum import StrEnum
 
 import numpy as np
 
 from mavdiag.errors import InputError
-from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal, Telemetry
+from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Log, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_S
 
 UNIFORM = 0.25  # of a period: a sample this near to its place counts as uniform (our choice)
@@ -15,6 +16,7 @@ NATIVE_SHARE = 0.99  # of the steps that must be uniform for a native grid (our 
 LEAPT = 9  # samples whose median stamp counts where some go back: up to four in a row may leap (our choice)
 LEAST_SAMPLES = 20  # that a rate is measured by (our choice)
 PAUSE_NS = NS_PER_S  # a longer step is a pause, as between two flights, and says nothing of the rate (our choice)
+BACK_NS, APART_NS = NS_PER_S, 2 * NS_PER_S  # farther back a clock began anew; what follows is put behind (our choices)
 SLOW = 3.0  # nor does one of so many medians, in a stream that is slower than that (our choice)
 NATIVE_TOLERANCE = 0.02  # of the row period: the poles of a model shift by as much (our choice)
 ATTENUATION = 0.01  # change of a gain within the pass band that a fit does not notice (our choice)
@@ -92,6 +94,29 @@ def well_dated(t_ns: IntArray) -> BoolArray:
     usual = usual_times(t_ns, 2)
     early, late = usual[: len(t_ns)], usual[4:]
     return (early > late) | ((t_ns >= early) & (t_ns <= late))
+
+
+def onward(log: Log) -> Log:
+    """The log with what came after the gyro's clock began anew put 2 s behind, as of a live link, and a note of it."""
+    gyro = log.telemetry.get(Signal.BODY_RATE)
+    if gyro is None or (gyro.t_ns[1:] >= gyro.t_ns[:-1]).all():
+        return log
+    usual = usual_times(gyro.t_ns)
+    places = 1 + np.flatnonzero(usual[:-1] - usual[1:] > BACK_NS)
+    back_ns = usual[places - 1] - usual[places]
+    if not len(places) or float(usual.max()) + float(np.sum(back_ns, dtype=np.float64)) > 2**62:
+        return log
+    shifts = np.append(0, np.cumsum(back_ns + APART_NS))
+
+    def placed(series: Series) -> Series:
+        t_ns = series.t_ns
+        begins = places if series is gyro else 1 + np.flatnonzero(t_ns[:-1] - t_ns[1:] > BACK_NS)[: len(places)]
+        t_ns = t_ns + shifts[begins.searchsorted(np.arange(len(t_ns)), side="right")]
+        return Series(series.signal, t_ns, t_ns, series.values)
+
+    often, at_s = f"{len(places)} times, first " if len(places) > 1 else "", gyro.t_ns[places[0] - 1] / NS_PER_S
+    note = f"the vehicle's clock went back {often}at {at_s:.1f} s; what follows was put behind"
+    return replace(log, telemetry=Telemetry(tuple(map(placed, log.telemetry.series))), notes=(*log.notes, note))
 
 
 def rate_tolerance(grid: Grid, dt_s: float, window_s: float) -> float:

@@ -14,7 +14,9 @@ speeds, in which a monitor sees more than there is where they come more seldom t
 A sample is *dead* if it repeats the one before for much longer than ever in health (gyro and accelerometer: each axis,
 within a twentieth of the quietest noise), and at once if all zero where no vehicle reads so. Then it is unknown. The
 gyro is *doubted* (`Doubt`) where it is dead, its stamps scatter or its resolution is coarser than in health: rows keep
-it, and say why. Samples are looked at in order of arrival, so that a log and a live link believe the same ones.
+it, and say why. Stamps scatter where the sum S_i = max(0, S_(i-1) + e_i^2 - k) passes `UNEVEN`, until it has fallen by
+as much again; e_i: how far a step is off a whole number of periods [periods], k: what is allowed of e^2 (E. S. Page,
+Biometrika 41, 1954). Samples are looked at in order of arrival, so that a log and a live link believe the same ones.
 """
 
 import math
@@ -41,9 +43,10 @@ STILL_FACTOR, STILL_MORE = 4.0, 2  # of the longest healthy repetition, and samp
 STILL_S, STILL_LEAST = 0.8, 1.5  # no longer than this, but by so much longer than in health (our choice)
 QUIET_SHARE = 0.05  # of the healthy noise: 26 dB below it (our choice)
 CALM_SHARE = 0.1  # the quantile of the noise of the seconds of healthy flight that is its quietest (our choice)
-JITTER_S = 5.0  # memory of the jitter: one wrong stamp in it is none (our choice)
+JITTER_S = 5.0  # memory of the jitter that is learnt: one wrong stamp in it is none (our choice)
 MISSING = 2.5  # periods: a longer step says nothing of jitter (our choice)
-JITTER_FACTOR, LEAST_JITTER = 2.0, 0.05  # of the healthy one, and of a period, which no monitor notices (our choice)
+JITTER_FACTOR, LEAST_JITTER = 1.5, 0.05  # of the healthy one, and of a period, which no monitor notices (our choice)
+UNEVEN = 1.0  # periods^2: two stamps, with two steps each, half a period off are borne, three are not (our choice)
 RESOLUTION_FACTOR = 1.5  # of the healthy one: 2 mrad/s in place of 1 is another sensor or link (our choice)
 RESOLUTION_NOISE = 0.25  # of the rms step: a finer resolution than this is hidden by the noise (our choice)
 RESOLUTION_SAMPLES = 200  # before it is judged: the finest of so many steps of noise is far below that
@@ -82,7 +85,7 @@ class Doubt(StrEnum):
     """Why rows must not be judged though the gyro is there."""
 
     FROZEN = "gyro repeats one value"
-    STAMPS = "time stamps"
+    STAMPS = "uneven time stamps"
     RESOLUTION = "gyro resolution"
     THRUST = "thrust was lost"
 
@@ -166,7 +169,6 @@ class LinkQuality(BaseModel):
             rule[LEARNT:LEAP] = (
                 1.0,
                 period_s * NS_PER_S,
-                forgetting(JITTER_S, period_s),
                 min(max(round(GLITCH_S / period_s), 2), MOST_LOST),
                 round(max(REORDER_S, OUT_OF_ORDER * period_s) * NS_PER_S),
                 round(max(REORDER_S, 3 * period_s, FAR * pause_s) * NS_PER_S),
@@ -181,17 +183,17 @@ class LinkQuality(BaseModel):
 
 
 # Places in a rule: what the signal is: of the gyro, an angle, one whose last value holds, one that must be a number,
-# never zero in flight, may rest, keeps its pace; its range; whether more is known of it: its period [ns] and the share
-# of a sample in the jitter, how many samples that leap may be lost, spans of stamps [ns], whether zeros are dead, below
-# which value nothing moves, variance of the jitter and step beyond which the gyro is doubted, whether a column leads.
+# never zero in flight, may rest, keeps its pace; its range; whether more is known of it: its period [ns], how many
+# samples that leap may be lost, spans of stamps [ns], whether zeros are dead, below which value nothing moves, variance
+# of the jitter that is allowed and step beyond which the gyro is doubted, whether a column leads.
 GYRO, ANGLE, HOLDS, MUST_BE_FINITE, NOT_ZERO, RESTS, KEEPS_PACE, GREATEST = range(8)
-LEARNT, PERIOD, ALPHA, PATIENCE, BACK, AHEAD, ZERO_IS_DEAD, LOWEST, MOST_JITTER, MOST_STEP, LEADING = range(8, 19)
-LEAP = 19
-# Places in the figures: jitter, and how far the latest samples leapt; then of each column the last believed value, its
-# slope [1/ns], the value that came last, and the smallest step. In the counts: samples so far; stamps of the last one
-# that was believed, and that came [ns]; the step to the latter, 0 if it goes back [ns]; whether its stamp leapt; how
-# many leapt lately; samples not lost; numbers of those that leapt; repetitions.
-JITTER, SIZES, COLUMN = 0, 1, 1 + AMONG + MOST_LOST + 1
+LEARNT, PERIOD, PATIENCE, BACK, AHEAD, ZERO_IS_DEAD, LOWEST, MOST_JITTER, MOST_STEP, LEADING = range(8, 18)
+LEAP = 18
+# Places in the figures: scatter of the stamps, and how far the latest samples leapt; then of each column the last
+# believed value, its slope [1/ns], the value that came last, and the smallest step. In the counts: samples so far;
+# stamps of the last one that was believed, and that came [ns]; the step to the latter, 0 if it goes back [ns]; whether
+# its stamp leapt; how many leapt lately; samples not lost; numbers of those that leapt; repetitions.
+SCATTER, SIZES, COLUMN = 0, 1, 1 + AMONG + MOST_LOST + 1
 COUNT, LAST_NS, CAME_NS, STEP_NS, ALONE, FAR_COUNT, TRACED, NUMBERS = range(8)
 RUNS = NUMBERS + AMONG + MOST_LOST + 1
 STAMPS_CODE, RESOLUTION_CODE, FROZEN_CODE = (
@@ -265,12 +267,12 @@ def _leap(s: Samples, i: int) -> float:
 def _plain(s: Samples, first: int, stop: int) -> int:
     """Up to where no sample leaps and rows use each as it came: the usual case, looked at column by column."""
     rule, mem, counts, columns, t_ns = s.rule, s.mem, s.counts, s.columns, s.t_ns
-    jitter, shown, frozen, gyro = mem[JITTER], False, rule[LEAP + 4 * columns], rule[GYRO] > 0.0
+    scatter, shown, frozen, gyro = mem[SCATTER], False, rule[LEAP + 4 * columns], rule[GYRO] > 0.0
     for i in range(first, stop):
         if gyro:
-            jitter = _scatter(s, jitter, t_ns[i] - (t_ns[i - 1] if i > first else counts[CAME_NS]))
+            scatter = _scattered(s, scatter, t_ns[i] - (t_ns[i - 1] if i > first else counts[CAME_NS]))
         span_ns = t_ns[i] - (t_ns[i - 1] if i > first else counts[LAST_NS])
-        if not -rule[BACK] <= span_ns <= rule[AHEAD] or (gyro and jitter > rule[MOST_JITTER]):
+        if not -rule[BACK] <= span_ns <= rule[AHEAD] or scatter > UNEVEN:
             stop = i
             break
     for column in range(columns):
@@ -342,11 +344,12 @@ def _decide(s: Samples, there: int, i: int) -> tuple[int, bool]:
 
 
 @inline
-def _scatter(s: Samples, jitter: float, span_ns: int) -> float:
-    """Variance of the stamps after the next one; a step that is lost or misdated does not count."""
+def _scattered(s: Samples, scatter: float, span_ns: int) -> float:
+    """The sum of `UNEVEN` after the next step; one that is lost or misdated does not count."""
     steps = span_ns / s.rule[PERIOD]
     apart = steps - np.round(steps) if 0.0 < steps < MISSING else 0.0
-    return float(jitter + s.rule[ALPHA] * (apart * apart - jitter))
+    after = min(max(0.0, scatter + apart * apart - s.rule[MOST_JITTER]), 2.0 * UNEVEN)
+    return 2.0 * UNEVEN if scatter <= UNEVEN < after else after
 
 
 @jit
@@ -363,12 +366,12 @@ def _believe(s: Samples, first: int, stop: int) -> None:
 
 @jit
 def _measure(s: Samples, first: int, stop: int, seen: FloatArray, runs: IntArray) -> float:
-    """Count repetitions after some samples, and of the gyro follow jitter and finest step; returns the resolution.
+    """Count repetitions after some samples, and of the gyro follow stamps and finest step; returns the resolution.
 
     seen, runs: as in `look_at`, or empty.
     """
     mem, counts, columns, gyro, knows = s.mem, s.counts, s.columns, s.rule[GYRO] > 0.0, s.counts[COUNT] > 0
-    coarsest, jitter, before_ns, same = 0.0, mem[JITTER], counts[CAME_NS], 1 << 62
+    coarsest, before_ns, same = 0.0, counts[CAME_NS], 1 << 62
     noted, traced = len(seen) > 0, runs[counts[TRACED] :]
     for column in range(columns):
         at, run, longest = COLUMN + 2 * columns + column, counts[RUNS + 1 + column], 0
@@ -387,15 +390,15 @@ def _measure(s: Samples, first: int, stop: int, seen: FloatArray, runs: IntArray
             mem[at + columns], coarsest = finest, max(coarsest, finest)
     for i in range(first, stop if gyro or noted else first):
         if gyro:
-            jitter, before_ns = _scatter(s, jitter, s.t_ns[i] - before_ns), s.t_ns[i]
+            mem[SCATTER], before_ns = _scattered(s, mem[SCATTER], s.t_ns[i] - before_ns), s.t_ns[i]
         if noted:
-            seen[0], seen[1 + columns] = max(seen[0], traced[i - first]), max(seen[1 + columns], jitter)
+            seen[0] = max(seen[0], traced[i - first])
     counts[STEP_NS] = max(s.t_ns[stop - 1] - (s.t_ns[stop - 2] if stop - 1 > first else counts[CAME_NS]), 0)
-    mem[JITTER], counts[RUNS], counts[CAME_NS] = jitter, same, s.t_ns[stop - 1]
+    counts[RUNS], counts[CAME_NS] = same, s.t_ns[stop - 1]
     counts[COUNT] += stop - first
     resolution = coarsest if counts[COUNT] > RESOLUTION_SAMPLES and math.isfinite(coarsest) else 0.0
     if noted:
-        seen[2 + columns] = resolution
+        seen[1 + columns] = resolution
         counts[TRACED] += stop - first
     return resolution
 
@@ -414,7 +417,7 @@ def _use(s: Samples, i: int, finest: float) -> bool:
             v[columns, s.at + i] = FROZEN_CODE
         elif finest > rule[MOST_STEP]:
             v[columns, s.at + i] = RESOLUTION_CODE
-        elif s.mem[JITTER] > rule[MOST_JITTER]:
+        elif s.mem[SCATTER] > UNEVEN:
             v[columns, s.at + i] = STAMPS_CODE
         return True
     if (dead or alone) and not (rule[RESTS] or rule[ANGLE]):
@@ -464,8 +467,8 @@ def _take(s: Samples, i: int, lost: bool, kept: int, seen: FloatArray, runs: Int
 def look_at(s: Samples, waited: int, seen: FloatArray, runs: IntArray) -> tuple[int, int, int]:
     """Move the samples that are believed to the front, as rows may use them.
 
-    waited: how many came before. seen: (columns + 3,) of those not lost the longest repetitions, highest variance of
-    jitter, last resolution; runs: of each. Both may be empty. Returns how many are believed, decided, within range.
+    waited: how many came before. seen: (columns + 2,) of those not lost the longest repetitions, last resolution; runs:
+    of each. Both may be empty. Returns how many are believed, decided, within range.
     """
     there = waited
     for i in range(waited, len(s.t_ns)):
@@ -568,11 +571,11 @@ def learnt_quality(flights: Iterable[tuple[Telemetry, Sequence[tuple[int, int]]]
         watched = [(seen, runs) for seen, runs in (_watched(habit, part) for part in parts) if len(runs)]
         if not watched:
             continue
-        longest = np.max([seen for seen, _ in watched], axis=0)[:-2]
+        longest = np.max([seen for seen, _ in watched], axis=0)[:-1]
         if signal is Signal.ATTITUDE_SETPOINT:
             longest[0] = np.quantile(np.concatenate([runs for _, runs in watched]), STILL_SHARE, method="higher")
         if signal is Signal.BODY_RATE:
-            jitter = math.sqrt(max(float(seen[-2]) for seen, _ in watched))
+            jitter = max(_jitter(part.t_ns, habit.period_s) for part in parts)
             steps = [float(seen[-1]) for seen, _ in watched]
         still = longest.astype(int).tolist()
         habits.append(habit.model_copy(update={"still": tuple(still if signal in SENSORS else still[:1])}))
@@ -599,10 +602,18 @@ def _watched(habit: Habit, series: Series) -> tuple[FloatArray, IntArray]:
     columns, runs = series.values.shape[1], np.empty(len(series), dtype=np.int64)
     rule = LinkQuality(habits=(habit,)).rule(series.signal, columns)
     rule[[ZERO_IS_DEAD, NOT_ZERO]], rule[[MOST_JITTER, MOST_STEP]], rule[LEAP + 3 * columns :] = 0.0, np.inf, np.inf
-    memory, seen = Memory(columns), np.zeros(columns + 3)
+    memory, seen = Memory(columns), np.zeros(columns + 2)
     for first in range(0, len(series), PIECE):
         _looked(rule, memory, series.where(slice(first, first + PIECE)), seen, runs)
     return seen, runs[: memory.counts[TRACED]]
+
+
+def _jitter(t_ns: IntArray, period_s: float) -> float:
+    from scipy.signal import lfilter
+
+    steps, share = np.diff(t_ns) / (period_s * NS_PER_S), forgetting(JITTER_S, period_s)
+    apart = np.where(steps < MISSING, steps - np.round(steps), 0.0)
+    return math.sqrt(np.max(lfilter([share], [1.0, share - 1.0], apart * apart)))
 
 
 def _moved(signal: Signal, parts: Sequence[Series]) -> Habit:

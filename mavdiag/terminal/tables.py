@@ -12,7 +12,7 @@ from mavdiag.archive.paths import apart
 from mavdiag.archive.tables import Row
 from mavdiag.look.inspection import Inspection
 from mavdiag.look.words import parts_of
-from mavdiag.printable import printable
+from mavdiag.printable import counted, printable
 
 STYLES = {"fault": "bold red", "suspected": "yellow", "error": "magenta", "not_judgeable": "cyan", "healthy": "green"}
 ORDER = tuple(STYLES)
@@ -34,10 +34,10 @@ def verdict_table(rows: Sequence[Row], console: Console | None = None) -> None:
         rotors = ",".join(dict.fromkeys(part.partition(" ")[0] for part in named))
         told = (name, verdict.replace("_", " "), rotors, since, row["monitor"] or "", ratio, share)
         lines.append(_styled(told, STYLES[verdict]))
-    counted = Counter(str(row["verdict"]) for row in rows)
-    words = [Text(f"{counted[name]} {name.replace('_', ' ')}", STYLES[name]) for name in ORDER if counted[name]]
+    counts = Counter(str(row["verdict"]) for row in rows)
+    words = [Text(f"{counts[name]} {name.replace('_', ' ')}", STYLES[name]) for name in ORDER if counts[name]]
     judged_s, flown_s = (sum(float(row[name] or 0) for row in rows) for name in ("judged_s", "flown_s"))
-    totals = Text(f"{len(rows)} logs: ") + Text(", ").join(words)
+    totals = Text(f"{counted(len(rows), 'log')}: ") + Text(", ").join(words)
     totals += Text(f"; judged {judged_s / 60:.1f} of {flown_s / 60:.1f} min")
     why = [Text(printable(f"{row['log']}: {row['reason']}")) for row in ranked if row["verdict"] == "error"]
     _print(("log", "verdict", "rotor", "since (clock)", "nearest monitor", "ratio", "judged"), lines, console)

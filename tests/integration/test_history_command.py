@@ -40,7 +40,6 @@ UID, OTHER = "0011223344556677", "0011223344556688"
 
 @pytest.fixture
 def wearing(tmp_path: Path) -> Path:
-    """One airframe that wears and one that does not."""
     path, rng = tmp_path / "fleet.sqlite", np.random.default_rng(1)
     worn = 0.4 + 0.6 * np.arange(1, 141) / 150 + 0.03 * rng.standard_normal(140)
     calm = 0.4 + 0.03 * rng.standard_normal(60)
@@ -162,7 +161,6 @@ def watching(baseline: Baseline, flights: Flights, *vehicles: MadeVehicle) -> Be
 
 
 def in_this_process(command: list[str], **_: object) -> SimpleNamespace:
-    """In place of `subprocess.run`: the same command without a process of its own."""
     ran = CliRunner().invoke(app, command[command.index("mavdiag") + 1 :])
     said = "" if ran.exception is None else str(ran.exception)
     return SimpleNamespace(returncode=ran.exit_code, stdout=ran.output, stderr=said)

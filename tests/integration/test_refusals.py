@@ -69,6 +69,7 @@ REFUSED = [
     ("mavdiag history list --airframe", "'--airframe' requires an argument"),
     ("mavdiag history --airframe x list", "unexpected extra argument"),
     ("mavdiag history mark --airframe x", "say what was done"),
+    ("mavdiag identify a.tlog --sessions 2 -o new.json", "--sessions 2: at most 1, one for each log"),
     ("mavdiag history mark --airframe x --repair --at yesterday", "write it like 2026-03-01"),
     ("mavdiag history mark --airframe x --repair --at 2999-03-01", "give one from 1970 to 2262"),
     (f"{HISTORY} postgresql://me:secret@127.0.0.1:1/fleet", "Connection refused"),

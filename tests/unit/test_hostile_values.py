@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -35,7 +35,6 @@ def calm() -> Log:
 
 
 def changed(log: Log, signal: Signal, change: Change) -> Log:
-    """The log with other samples of a signal, which came when they did."""
     series = []
     for one in log.telemetry:
         if one.signal is signal:
@@ -120,19 +119,20 @@ def stop_pitch(t_ns: IntArray, values: FloatArray) -> None:
     values[AT:, 1] = values[AT, 1]
 
 
-def jitter(t_ns: IntArray, values: FloatArray) -> tuple[IntArray, FloatArray]:
-    shifts = np.random.default_rng(3).normal(0, 0.2 * DT_NS, len(t_ns))
-    return np.sort(t_ns + np.round(shifts).astype(np.int64)), values
+def jitter(t_ns: IntArray, values: FloatArray, since: int = 0) -> tuple[IntArray, FloatArray]:
+    shifts = np.random.default_rng(3).exponential(0.5 * DT_NS, len(t_ns)) * (np.arange(len(t_ns)) >= since)
+    return t_ns + np.round(shifts).astype(np.int64), values
 
 
 @pytest.mark.parametrize(
     ("change", "told", "most_s"),
     [
         (stop_pitch, "gyro repeats one value", 17.0),
-        (jitter, "time stamps", 1.0),
+        (jitter, "uneven time stamps", 0.2),
+        (partial(jitter, since=AT), "uneven time stamps", 15.2),
         (lambda t_ns, values: (t_ns, 0.02 * np.round(values / 0.02)), "gyro resolution", 2.5),
     ],
-    ids=["one dead axis", "jitter", "coarse"],
+    ids=["one dead axis", "jitter", "late jitter", "coarse"],
 )
 def test_a_gyro_that_cannot_be_believed_is_not_judged(change: Change, told: str, most_s: float) -> None:
     found = judged(changed(calm(), Signal.BODY_RATE, change))
@@ -195,7 +195,6 @@ def test_a_fast_set_point_hides_no_error_of_the_size_of_its_steps(at: int, error
 
 
 def test_what_was_learnt_believes_all_of_its_own_log_and_not_an_error_in_it() -> None:
-    """Then learning makes no rows anew; where it makes a difference, it does."""
     series, values = turning(), turning().values.copy()
     values[1000, 0] += 2.0
     wrong = Telemetry((Series(series.signal, series.t_ns, series.t_ns, values),))

@@ -76,7 +76,6 @@ def test_what_cannot_be_judged_says_why(telemetry: Telemetry, profile: str, reas
 
 
 def test_b1_what_no_deciding_monitor_judged_is_not_healthy() -> None:
-    """B1: `scan --monitors effort` called an 8 mm cut healthy, though the monitor gave no valid value."""
     short = judge(logged(flying(450, 1)), trim())
     assert (short.verdict, short.judged_s) == (Verdict.NOT_JUDGEABLE, 0)
     assert short.reason == (
@@ -89,7 +88,6 @@ def test_b1_what_no_deciding_monitor_judged_is_not_healthy() -> None:
 
 
 def test_b1_healthy_says_which_monitors_judged_for_how_long_and_which_did_not() -> None:
-    """B1: the innovation monitor alone sufficed for "healthy", without a word of the others."""
     verdict = judge(logged(without(flying(2500, 1), ALL, signals=(Signal.ACTUATOR,))), whole())
     assert verdict.reason.startswith("no alarm; judged 24.0 s of 24.0 s (100 %) by innovation, rotor_signature, ")
     assert "; not judged by rotor_trim (no actuator" in verdict.reason
@@ -103,6 +101,16 @@ def test_b1_healthy_says_which_monitors_judged_for_how_long_and_which_did_not() 
     assert "not judged by innovation (too little flight)" in judge(logged(flying(700, 1)), flown()).reason
     told = verdict_json(verdict)
     assert [verdict.judged_s, verdict.flown_s, told["judged_s"], told["flown_s"]] == pytest.approx([24] * 4, abs=0.1)
+
+
+def test_a_flight_after_its_clock_went_back_is_judged_as_one_behind() -> None:
+    plain = flying(4000, 5)
+    for back_ns in (5 * NS_PER_S, 40 * NS_PER_S):
+        series = (replace(one, t_ns=one.t_ns - (one.t_ns >= 20 * NS_PER_S) * back_ns) for one in plain)
+        first, found = judge(logged(plain), whole()), judge(logged(Telemetry(tuple(series))), whole())
+        assert found.verdict is first.verdict
+        assert found.judged_s == pytest.approx(first.judged_s - 1.0, abs=0.1)
+        assert found.reason.endswith("; the vehicle's clock went back at 20.0 s; what follows was put behind")
 
 
 def test_the_exit_code_is_that_of_the_gravest_verdict() -> None:
@@ -145,7 +153,6 @@ def tumbling() -> Telemetry:
 
 
 def test_f1_a_vehicle_that_tumbles_until_its_log_ends_is_no_healthy_one() -> None:
-    """F1: the dips of its thrust were taken for landings, and 5 s after each of them nobody judged."""
     verdict = judge(logged(tumbling()), flown())
     assert verdict.verdict is Verdict.FAULT
     assert "the flight ends in an upset, at 3" in verdict.reason
@@ -188,7 +195,6 @@ C1: dict[str, tuple[Callable[[Telemetry], Telemetry], str]] = {
 
 @pytest.mark.parametrize("case", C1)
 def test_c1_a_flight_that_was_judged_in_part_is_not_healthy(case: str) -> None:
-    """C1: what failed half way was unmentioned, and 1.9 judged seconds were enough for "healthy"."""
     change, reason = C1[case]
     verdict = judge(logged(change(flying(4000, 1))), flown())
     assert verdict.verdict is Verdict.NOT_JUDGEABLE
@@ -256,7 +262,6 @@ def grounded() -> Baseline:
 
 @pytest.mark.parametrize("span_s", [12.0, 45.0])
 def test_f2_ground_time_at_the_start_of_a_log_is_not_compared_with_flight(span_s: float) -> None:
-    """F2: three of eight flights of an X8 were "another vehicle: gyro noise x0.015", one that had taught it too."""
     verdict = judge(logged(ground_first(flying(6000, 1), span_s)), grounded())
     assert verdict.verdict is Verdict.HEALTHY, verdict.reason
     assert "may be another vehicle" not in verdict.reason
@@ -341,7 +346,6 @@ class Ones(ControlLoss):
 
 
 def ones_judged(covered: list[Covered], rows: list[Rows], monitor: Ones) -> tuple[Statistic, dict[Condition, Outside]]:
-    """What the envelope makes of the ones, and what it does not let judge."""
     kernel = Kernel((Slot(monitor, 9.0, True),), tuple(covered), rows[0].block.dt_s, 2 * rows[0].block.dt_s)
     memory, parts = kernel.start(), list[Statistic]()
     for one in rows:
@@ -436,7 +440,6 @@ def test_21_one_wrong_sample_does_not_widen_what_is_covered() -> None:
 
 
 def test_21_a_time_is_not_scaled_like_an_amplitude() -> None:
-    """Near what was learnt an amplitude counts less by as much; a time is judged inside alone."""
     for unit, value, turn in (("rad/s", 0.8, 0.5), ("s", 1.0, 0.39), ("s", None, 0.5)):
         found, _ = ones_judged([YAW], turned(np.full(600, turn)), Ones({Condition.YAW_RATE}, 1.0, unit=unit))
         assert found.valid[-1] == (value is not None)
@@ -444,7 +447,6 @@ def test_21_a_time_is_not_scaled_like_an_amplitude() -> None:
 
 
 def test_a_new_segment_does_not_go_on_from_the_old_one() -> None:
-    """Else the step from one heading to another would be a turn."""
     north, south = np.zeros((300, 3)), np.tile([0.0, 0.0, 3.0], (300, 1))
     flight = [example_rows(300, setpoint=north), example_rows(300, segment=1, setpoint=south)]
     (yaw,) = (one for one in covered_by([flight]) if one.condition is Condition.YAW_RATE)
@@ -472,7 +474,6 @@ def test_outside_nothing_is_judged_and_it_is_said(rate: float) -> None:
 @pytest.mark.parametrize("memory_s", [0.35, 1.0, 10.0])
 @pytest.mark.parametrize("wild", [0.3, 3.0])
 def test_each_value_counts_by_the_farthest_bin_behind_it(memory_s: float, wild: float) -> None:
-    """Value by value, as the module's text says."""
     rng = np.random.default_rng(round(wild + memory_s))
     turns: FloatArray = np.repeat(wild * rng.random(40) * (rng.random(40) < 0.2), 30)
     flight = turned(turns)
@@ -490,7 +491,6 @@ def test_each_value_counts_by_the_farthest_bin_behind_it(memory_s: float, wild: 
 
 @cache
 def straight() -> Baseline:
-    """Learnt from flights that hardly turn the nose."""
     options = LearnOptions(airframe=FRAME, monitors=("fsd", "innovation", "rotor_signature", "rotor_trim", "trim_step"))
     return learn(healthy(3), options, created=NOW)
 
@@ -511,7 +511,6 @@ def test_a_turn_that_was_not_learnt_is_not_judged_and_never_an_alarm(seed: int) 
 
 
 def test_a_link_that_carries_no_heading_and_no_height_is_judged_all_the_same() -> None:
-    """A condition of the baseline that the link does not tell now restricts nothing."""
     high = (*straight().envelope, Covered(Condition.HEIGHT, 0.4, 3.0))
     found = judge(logged(flying(3000, 80)), straight().model_copy(update={"envelope": high}))
     assert found.verdict is Verdict.HEALTHY

@@ -80,7 +80,6 @@ def test_a_kind_of_log_is_added_by_one_row(tmp_path: Path, monkeypatch: pytest.M
 
 
 def test_l4_take_off_is_trimmed_alike_live_and_in_logs() -> None:
-    """5 of 5 healthy take-offs raised a suspicion live, where nothing was trimmed at the start."""
     live, recorded = gate_for("ardupilot"), gate_for("ardupilot-log")
     assert live.trim_start_s == recorded.trim_start_s == gate_for("px4-log").trim_start_s == 5.0
     assert (live.trim_end_s, recorded.trim_end_s) == (0.0, 0.6)
@@ -129,8 +128,11 @@ def mapped(folder: Path, text: str = MAP) -> ColumnMap:
 
 
 def test_units_and_directions_become_si_and_frd(tmp_path: Path) -> None:
-    path = written(tmp_path / "flight.csv", "m2,time,p,q,r,m1\n40,1000,90,180,-90,10\n50,1010,0,0,0,20\n")
+    rows = ["40,1000,90,180,-90,10\n", "50,1010,0,0,0,20\n"]
+    path = written(tmp_path / "flight.csv", "m2,time,p,q,r,m1\n" + "".join(rows))
     log = read_log(path, columns=mapped(tmp_path))
+    other = read_log(written(path, "m2,time,p,q,r,m1\n" + "".join(rows[::-1])), columns=mapped(tmp_path))
+    assert (other.telemetry.digest, other.notes[0][:26]) == (log.telemetry.digest, "its rows are newest first ")
     np.testing.assert_allclose(log[Signal.BODY_RATE].values[0], [np.pi / 2, -np.pi, -np.pi / 2])
     assert log[Signal.BODY_RATE].t_ns.tolist() == [1_000_000_000, 1_010_000_000]
     np.testing.assert_allclose(log[Signal.ACTUATOR].values, [[0.1, 0.4], [0.2, 0.5]])
@@ -178,6 +180,8 @@ def test_a_wrong_map_names_its_field(text: str, words: str, tmp_path: Path) -> N
         ("time,p,q,r,m1,m2\n", "it has no rows"),
         ("time,p,q,r,m1,m2\nx,y,z,,,\n", "no row has a time"),
         ("time,p,q,r,m1,m2\n1,,,,1,1\n2,,,,1,1\n", "most rows have no gyro"),
+        ('time,p,q,r,m1,m2\n"1,5",0,0,0,1,1\n', "its numbers have a decimal comma; write them with a point"),
+        ("time,p,q,r,m1,m2\n" + "".join(f"{n}0000,0,0,0,1,1\n" for n in range(20)), "are 10 s apart; check the unit"),
         ("\x00\xff\n" * 10, "is no CSV text in UTF-8; .* leave out --columns"),
     ],
 )
@@ -376,7 +380,6 @@ def test_raw_batches_are_read_up_to_their_first_gap_and_show_the_line_of_the_rot
 
 
 def wrapped(n: int = 600) -> tuple[bytes, list[bytes]]:
-    """A log's head and records."""
     return dataflash([IMU, ATT], []), [imu(1000 * k, 0.01 * k) for k in range(n)]
 
 
