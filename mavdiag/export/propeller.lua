@@ -23,7 +23,7 @@ local B = { -- trims are fractions of hover, by roll, pitch and yaw
     spread = {{ entry.spec.spread }},
     turn = {{ entry.spec.turn }}, -- yaw trim by yaw rate [1/(rad/s)], its slope [1/(rad/s^2)], and less by its own [s]
     pull = {{ entry.spec.pull }}, -- roll and pitch trim by pull [1/rad]
-    errors = {{ par[name][12:15] }}, days = {{ par[name][30] }}, -- variances: of pull and turn; of the yaw trim by day
+    errors = {{ par[name][12:15] }}, days = {{ par[name][30] }}, -- variances: of pull, 9 of turn; of the yaw trim by day
     felt = {{ entry.spec.felt | int }}, turn_trim = {{ turning }}, -- by the accelerometer; of a tick that counts half
     least = {{ trims.MIN_OUTPUT }}, sums = {{ entry.spec.layout.unmixing.sum(axis=1) }}, -- mean output, 0..1
     unmix = {{ entry.spec.layout.unmixing }}, scale = {{ par[name][-1] }}, -- trim by output; of what a rise explains

@@ -58,8 +58,8 @@ PRIOR, PRIOR_SD = np.array([0.0, 0.04, 0.0]), np.array([0.1, 0.04, 0.2])
 SURE_SD = 3.0  # so far a law may err, or a load hang along an arm (our choice)
 APART = 0.07, 0.07, 0.012  # of roll, pitch and yaw trim, between flights of other days (sd; METHOD section 5)
 # Places in the parameters: 1 for torque commands; 1 where the pull is felt; how many rotors; parts of a tick, rows of a
-# part, row period, ticks of a window; of the spec pull, turn, variances of k1, k2 and b1, mean, about and spread; gains
-# of torque commands; what a monitor has of its own; variance of the yaw trim between its days, and that of
+# part, row period, ticks of a window; of the spec pull, turn, variances of k1, k2 and 9 of b1, mean, about and spread;
+# gains of torque commands; what a monitor has of its own; variance of the yaw trim between its days, and that of
 # the drag; the sums of the unmixing C, C itself, (3, rotors), and 1/max |c_k|.
 TORQUES, FELT, ROTORS, PARTS, ROWS, DT, WINDOW, PULL, TURN, ERROR, MEAN, ABOUT, SPREAD = *range(8), 9, 12, 15, 18, 21
 GAIN, OWN, DAYS, DRAG, SUM, UNMIXING = 24, 27, 30, 31, 32, 35
@@ -284,7 +284,7 @@ def best_rise(par: Floats, shift: Floats) -> float:
         away = SURE_SD * math.sqrt(c * c * roll + d * d * pitch) / (c * c + d * d)
         if lift > away:
             lifted = max(lifted, (min(told, lift) - away) / (1.0 - away / lift))
-    error = max(0.0, SURE_SD**2 * par[ERROR + 2] * shift[RATE] ** 2 - par[DAYS])
+    error = max(0.0, par[ERROR + 2] * shift[RATE] ** 2 - par[DAYS])
     return max(lifted, found / math.sqrt(1.0 + error / par[SPREAD + 2] ** 2))
 
 
@@ -472,7 +472,7 @@ class TrimMonitor(Monitor[Spec]):
         window = max(1, round(spec.window_s / self.period_s(dt_s)))
         head = [spec.source == "torque", spec.felt, layout.rotors, parts, rows, dt_s, window]
         gain, C = layout.torque_gain or (0.0, 0.0, 0.0), layout.unmixing
-        errors = [*np.square(spec.pull_sd), spec.turn_covariance[0][0]]
+        errors = [*np.square(spec.pull_sd), SURE_SD**2 * spec.turn_covariance[0][0]]
         learnt = [*spec.pull, *spec.turn, *errors, *spec.mean, *spec.about, *spec.spread, *gain]
         mem = np.zeros(SUMS + SUMMED * (parts + 2) + (FIGURES + 1) * parts + 2 * (MEANS + 1) * window)
         mem[SUMS : SUMS + 2 * SUMMED] = np.nan
