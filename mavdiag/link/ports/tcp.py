@@ -1,5 +1,7 @@
 """A TCP client that reconnects, and a TCP server for several clients."""
 
+import errno
+import os
 import socket
 import time
 
@@ -34,8 +36,10 @@ class TcpClient(Reconnecting):
     def _open(self) -> Stream:
         # A pending connection reads and writes as "nothing yet", and ends like an open one if it is refused.
         self._link = link = _tcp_socket(self._family)
-        link.connect_ex(self._remote)
-        return Stream(link.fileno(), link.close)
+        stream, found = Stream(link.fileno(), link.close), link.connect_ex(self._remote)
+        if found not in (0, errno.EINPROGRESS):  # the system says it once
+            stream.error = OSError(found, os.strerror(found))
+        return stream
 
 
 class _Client(Stream):
