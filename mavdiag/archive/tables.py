@@ -3,14 +3,12 @@
 import csv
 import io
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TypeAlias
 
 from mavdiag.archive.figures import Window, WindowMonitor
 from mavdiag.archive.scan import Answer
 from mavdiag.decision.alarm import Stage
-from mavdiag.errors import missing_extra
 from mavdiag.judging import LogVerdict
 from mavdiag.monitors import MONITORS
 from mavdiag.storage import write_atomically
@@ -84,12 +82,6 @@ def write_csv(path: Path, rows: Iterable[Row]) -> None:
     writer.writeheader()
     writer.writerows(rows)
     write_atomically(path, text.getvalue().encode(errors="surrogateescape"))
-
-
-def check_parquet() -> None:
-    """Raise UsageError, saying what to install, if Parquet cannot be written."""
-    if find_spec("pyarrow") is None:
-        raise missing_extra("--parquet", "pyarrow", "fleet")
 
 
 def write_parquet(path: Path, rows: Sequence[Row]) -> None:

@@ -17,13 +17,14 @@ from mavdiag.archive.figures import FlightRecord
 from mavdiag.archive.paths import Named, check_output
 from mavdiag.archive.scan import Answer, Cache, Options, Question, open_cache
 from mavdiag.archive.scan import scan as archive
-from mavdiag.archive.tables import Row, check_parquet, rows_of, write_csv, write_parquet
+from mavdiag.archive.tables import Row, rows_of, write_csv, write_parquet
 from mavdiag.archive.together import reference_of, together
 from mavdiag.as_json import number, verdict_json
 from mavdiag.baseline import Baseline
 from mavdiag.commandline import say
 from mavdiag.commands import options as opt
 from mavdiag.commands.progress import shown, sizes_of
+from mavdiag.errors import check_installed
 from mavdiag.judging import JUDGED_SHARE, Verdict, exit_code
 from mavdiag.logs import check_times
 
@@ -69,7 +70,7 @@ def scan(
         check_output(csv, parquet, *read)
     if parquet is not None:
         check_output(parquet, *read, kind=b"PAR1")
-        check_parquet()
+        check_installed("--parquet", "pyarrow", "fleet")
     question = Question.of(reference, Options(vehicle, from_s, to_s, windows, mapped, judged_share, figures=as_one))
     verdicts, rows, flights = list[Verdict](), list[Row](), dict[str, FlightRecord]()
     known = dict[str, bool]()  # of each content: whether its answer was kept

@@ -52,7 +52,9 @@ def shim(
     reorder: Annotated[int, Option(metavar="DEPTH", min=0, max=1000, help="Messages that may overtake one.")] = 0,
     duplicate: Annotated[float, PROBABILITY(help="Probability that a message comes twice.")] = 0.0,
     corrupt: Annotated[float, PROBABILITY(help="Probability that one bit of it is changed.")] = 0.0,
-    rate: Annotated[float | None, Option(metavar="BYTES_PER_S", min=1.0, help="What the line carries.")] = None,
+    rate: Annotated[
+        float | None, Option(metavar="BYTES_PER_S", min=1.0, max=1e12, help="What the line carries.")
+    ] = None,
     delay: Annotated[float, SPAN(help="How long a message takes.")] = 0.0,
     seed: Annotated[int, Option(metavar="N", help="The same seed gives the same fate to the same messages.")] = 0,
     both: Annotated[bool, Option("--both", help="Impair the way back to the vehicle as well.")] = False,

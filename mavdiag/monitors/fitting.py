@@ -16,7 +16,6 @@ from mavdiag.thresholds.heldout import Looks
 MEMORY_S = 0.35  # of the mean square of the command (METHOD section 4)
 REST_SHARE = 0.003  # of rows, believed at rest beside those that are flown (our choice)
 MIN_SHARE = 0.05  # of the mean square, left to k0 however busy the set-point (our choice)
-STEADY_RAD_S, STEADY_S = 0.2, 5.0  # about a hundredth of what one minute of squares tells (our choice)
 SCORINGS, RANK = 4, 1e-12  # of the variance law; from where on its two columns differ (our choices)
 Found = TypeVar("Found")
 
@@ -55,15 +54,6 @@ def three(values: Sequence[float] | FloatArray) -> Three:
     """Three numbers as a tuple of plain floats."""
     first, second, third = (float(x) for x in values)
     return first, second, third
-
-
-def steady_turn(dt_s: float) -> FloatArray:
-    """A commanded rate about roll or pitch that is followed, (n,), to train on beside what was flown.
-
-    In a calm hover the command follows the vehicle more than the vehicle the command: alone it tells a gain of 0.1 or
-    1.6, and the rates that wind makes are a surprise then.
-    """
-    return np.full(round(STEADY_S / dt_s), STEADY_RAD_S)
 
 
 def cut_to_share(lengths: Sequence[int], most: int, least: int = 1) -> list[int]:

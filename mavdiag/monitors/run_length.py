@@ -19,7 +19,7 @@ from mavdiag.identify import ArxModel, fit
 from mavdiag.identify.arx import ModelRecord
 from mavdiag.jit import cached, jit
 from mavdiag.monitors.base import Begin, Flights, LearnContext, Monitor, parted, walk
-from mavdiag.monitors.fitting import cut_to_share, of_each, steady_turn
+from mavdiag.monitors.fitting import cut_to_share, of_each
 from mavdiag.monitors.spec import Delay, Positive, spec
 from mavdiag.rows.block import COMMANDED, LEVEL, RESIDUAL, SOUND, VALUE, Floats, Ints, U, Y
 from mavdiag.rows.conditions import Condition
@@ -30,6 +30,9 @@ from mavdiag.telemetry import Axis, FloatArray, Signal
 TRAIN_ROWS = 60_000  # one minute at 1 kHz: beyond it a model's standard errors no longer matter (our choice)
 SETTLE_S = 1.0  # of each stretch that does not count in the figures of fit: it may begin in motion (our choice)
 MIN_PIECE_S = 2.0  # shorter valid stretches do not train a model (our choice)
+# A rate that is followed for so long trains beside the flights: in a calm hover the command follows the vehicle, which
+# alone tells a gain of 0.1 or 1.6. It is about a hundredth of what one minute of squares tells (our choice).
+STEADY_RAD_S, STEADY_S = 0.2, 5.0
 # Places in the parameters, where the coefficients of B and A follow; and in the memory, where those of the model do.
 DT, MARGIN, AXIS, ORDER, TAPS = range(5)
 BEGUN, COUNT, PEAK, PAST = range(4)
@@ -237,7 +240,7 @@ def _train(flights: Flights, axis: Axis, context: LearnContext) -> ArxModel:
     each = [(flight, stretch) for flight, stretches in zip(flights, places, strict=True) for stretch in stretches]
     pairs = [_rates_in(flight, stretch, axis, next(taken)) for flight, stretch in each]
     u, y = [one for one, _ in pairs], [one for _, one in pairs]
-    figures, method, steady = context.figures, context.method, steady_turn(dt_s)
+    figures, method, steady = context.figures, context.method, np.full(round(STEADY_S / dt_s), STEADY_RAD_S)
     try:
         model = fit(
             u, y, context.order, dt=dt_s, method=method, settle_s=SETTLE_S, figures=figures, near=near, followed=steady

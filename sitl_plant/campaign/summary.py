@@ -186,9 +186,16 @@ def _by_factor(factors: _Factors, flights: Flights, count: Callable[[Flights], R
     for factor, level_of in factors.items():
         levels = _levels(flights, level_of)
         if factor == "all" or len(levels) > 1:
-            ordered = sorted(levels, key=lambda name: (float(name) if name[:1].isdigit() else math.inf, name))
+            ordered = sorted(levels, key=_natural)
             rows += [{"factor": factor, "level": level, **count(levels[level])} for level in ordered]
     return rows
+
+
+def _natural(level: str) -> tuple[float, str]:
+    try:
+        return float(level), ""
+    except ValueError:  # a vehicle's name may begin with a digit
+        return math.inf, level
 
 
 def _by_monitor(flights: Flights) -> Iterable[tuple[str, int, float]]:

@@ -23,7 +23,7 @@ from sitl_plant.campaign.plan import (
     make_plan,
     with_conditions,
 )
-from sitl_plant.campaign.summary import summarise
+from sitl_plant.campaign.summary import _natural, summarise
 from sitl_plant.campaign.worker import Answer, FlightResult, Journal, MonitorResult, Results, run_campaign
 
 SITL_PLANT = "sitl_plant.__main__"
@@ -204,3 +204,7 @@ def test_detections_are_counted_on_judged_faults_alone() -> None:
     cells = {row["level"]: row["detected"] for row in summary["detection"] if row["factor"] == "fault, phenomenology"}
     assert (cells["F1/SV2 x1"].hits, cells["F2/SV1 x0.5"].of) == (2, 1)
     assert summary["unjudged"] == (("not_judgeable: ", 1),)
+
+
+def test_levels_are_in_order_of_numbers_and_a_name_may_begin_with_a_digit() -> None:
+    assert sorted(["3dr iris", "100", "20", "hexa-x"], key=_natural) == ["20", "100", "3dr iris", "hexa-x"]

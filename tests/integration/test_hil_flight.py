@@ -150,6 +150,7 @@ def test_over_ardupilots_protocol(tmp_path: Path) -> None:
 
         check(flown(COURSE, exchange), COURSE)
         link.send(b"who is there?")
+        exchange((0.5,) * 4)  # answered after what came before it was read
         plant.send_signal(signal.SIGINT)
         assert plant.stdout is not None
         said = plant.stdout.read().splitlines()

@@ -1,7 +1,5 @@
 """A TCP client that reconnects, and a TCP server for several clients."""
 
-import errno
-import os
 import socket
 import time
 
@@ -34,12 +32,16 @@ class TcpClient(Reconnecting):
             return False
 
     def _open(self) -> Stream:
-        # A pending connection reads and writes as "nothing yet", and ends like an open one if it is refused.
+        # A pending connection reads and writes as "nothing yet", and ends like an open one if it is refused later on.
         self._link = link = _tcp_socket(self._family)
-        stream, found = Stream(link.fileno(), link.close), link.connect_ex(self._remote)
-        if found not in (0, errno.EINPROGRESS):  # the system says it once
-            stream.error = OSError(found, os.strerror(found))
-        return stream
+        try:
+            link.connect(self._remote)
+        except BlockingIOError:
+            pass
+        except OSError:
+            link.close()
+            raise
+        return Stream(link.fileno(), link.close)
 
 
 class _Client(Stream):
