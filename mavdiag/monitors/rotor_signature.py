@@ -5,7 +5,7 @@ then grows along one diagonal, in step with the vertical acceleration:
 
     r_roll, r_pitch = y - y_sim                  free run of a closed-loop ARX model on the commanded rate (T 5.5)
     r_heave         = a_z - a_sim                the same on the commanded thrust
-    r  <- r - EMA_1s(r)                          from the first known r on; slow wind and trim are no fault
+    r  <- r - EMA_0.5s(r)                        from the first known r on; slow wind and trim are no fault
     r  <- r - g f - h df/dt                      f: y_sim without its slow part; g, h follow the last 10 s
     n   = r / sqrt(k0 + k1 EMA_0.35s(u^2))       u: what was commanded; a sharp manoeuvre may leave more (METHOD 4)
     n  <- clip(n, +-4 s)                         s^2 = max(1, EMA_10s(n^2)): a jolt counts little, unrest in full
@@ -46,7 +46,7 @@ from mavdiag.rows.windows import forgetting, spans
 from mavdiag.telemetry import BoolArray, FloatArray, Signal
 
 SAMPLE_S = 0.01  # between two samples, our choice: ten times what the 0.1 s window passes
-DRIFT_S = 1.0  # our choice; 0.5 to 2 s find the same faults
+DRIFT_S = 0.5  # our choice; 0.3 to 1 s find the same faults, and longer ones have circles in the residual
 FOLLOW_S = 10.0  # memory of the gain error; 5 to 20 s judge alike (our choice)
 GAIN_RMS = 0.3  # gain and speed errors that are expected before anything was seen (our choice)
 SPEED_S = 0.05  # time that h is in units of (our choice)
@@ -91,7 +91,7 @@ class HealthyMotion:
     window: int  # rows of the rate filters, odd
     roll: ModelRecord  # rate [rad/s] on commanded rate
     pitch: ModelRecord
-    heave: ModelRecord  # vertical acceleration [m/s^2] on thrust 0..1, both less their 1 s mean
+    heave: ModelRecord  # vertical acceleration [m/s^2] on thrust 0..1, both less their slow mean
     k0: tuple[Positive, Positive, Positive] = (1.0, 1.0, 1.0)  # variance of the residuals at rest
     k1: tuple[NotNegative, NotNegative, NotNegative] = (0.0, 0.0, 0.0)  # per mean square of what was commanded
 
@@ -450,7 +450,7 @@ def _rate(pieces: Sequence[FloatArray], axis: int, period_s: float, context: Lea
 
 
 def _heave(pieces: Sequence[FloatArray], period_s: float, context: LearnContext) -> ModelRecord:
-    """Vertical acceleration on thrust, both less their 1 s mean; nothing where thrust is unknown or not moved."""
+    """Vertical acceleration on thrust, both less their slow mean; nothing where thrust is unknown or not moved."""
     alpha = forgetting(DRIFT_S, period_s)
     heaves = [piece[:, 4:6] for piece in pieces if np.isfinite(piece[:, 4:6]).all()]
     moved = [heave - smoothed(heave, alpha, heave[0]) for heave in heaves]

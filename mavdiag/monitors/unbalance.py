@@ -34,7 +34,7 @@ FULL_TURN = 0.5  # share of the power that the turning part must reach to count 
 COLUMNS = 4  # products that are averaged
 CORNER_HZ = 60.0  # METHOD section 4
 CORNER_SHARE = 0.36  # of the rotor's frequency, where that is lower: 60 Hz at the thesis's 167 Hz (our choice)
-BAND_SHARE = 0.25  # of the sample rate: corner where the stream is too slow for the line itself (our choice)
+FOLDED_HZ = 25.0  # corner where the stream is too slow for the line itself: above it no flight moves (our choice)
 FULL_RATE_HZ = 400.0  # from here on the line at one per revolution is seen as it is (METHOD section 4)
 LEAST_RATE_HZ = 100.0  # below it nothing above the flight's own motion is left (METHOD section 4)
 # Places in the parameters: of each rotor the pattern of its covariances and its sense; then the filter. And in the
@@ -54,7 +54,7 @@ def corner_of(rate_hz: float, imu_corner_hz: float | None = None, hover_rad_s: f
             f"the IMU comes at {rate_hz:.3g} Hz; vibration needs {LEAST_RATE_HZ:.0f} Hz, better {FULL_RATE_HZ:.0f}"
         )
     line_hz = math.inf if hover_rad_s is None else hover_rad_s / (2 * math.pi)
-    corner_hz = min(CORNER_HZ, CORNER_SHARE * line_hz) if _carries_line(rate_hz) else BAND_SHARE * rate_hz
+    corner_hz = min(CORNER_HZ, CORNER_SHARE * line_hz) if _carries_line(rate_hz) else FOLDED_HZ
     passed_hz = max(corner_hz, min(CORNER_HZ, line_hz))  # what the stream must carry
     if imu_corner_hz is not None and imu_corner_hz < passed_hz:
         raise InputError(f"the IMU stream is low-passed at {imu_corner_hz:g} Hz, which takes the vibration out of it")

@@ -12,6 +12,7 @@ from mavdiag.airframe.layout import layout_named
 from mavdiag.errors import InputError
 from mavdiag.monitors.base import Flights
 from mavdiag.monitors.rotor_signature import (
+    DRIFT_S,
     HealthyMotion,
     Residuals,
     RotorSignature,
@@ -94,7 +95,10 @@ def test_statistic_follows_its_formula(spec: RotorSignatureSpec) -> None:
 def test_residuals_are_free_run_by_scipy(spec: RotorSignatureSpec) -> None:
     motion, rows = dataclasses.replace(spec.motion, k0=(1.0, 1.0, 1.0), k1=(0.0, 0.0, 0.0)), flown(14, CALM)
     d = residuals(motion, rows, follows=False)
-    r, alpha = rows.rates.y[:, 0] - lfilter(motion.roll.b, motion.roll.a, rows.rates.u[:, 0]), 1 - np.exp(-DT_S)
+    r, alpha = (
+        rows.rates.y[:, 0] - lfilter(motion.roll.b, motion.roll.a, rows.rates.u[:, 0]),
+        1 - np.exp(-DT_S / DRIFT_S),
+    )
     r[:150] = 0
     r -= lfilter([alpha], [1, alpha - 1], r)
     np.testing.assert_allclose(d.r[1500:, 0], r[1500:], atol=1e-6)  # the start from the first measured rate dies out
@@ -106,7 +110,7 @@ def test_gain_errors_are_the_recursive_least_squares_of_the_last_seconds(spec: R
     rows = flown(19, CALM)
     r, found = residuals(spec.motion, rows, follows=False).r[:, 0], residuals(spec.motion, rows).r[:, 0]
     y_sim = lfilter(spec.motion.roll.b, spec.motion.roll.a, rows.rates.u[:, 0])
-    slope, alpha = 0.05 * np.diff(y_sim, prepend=0.0) / DT_S, 1 - np.exp(-DT_S)
+    slope, alpha = 0.05 * np.diff(y_sim, prepend=0.0) / DT_S, 1 - np.exp(-DT_S / DRIFT_S)
     F = np.column_stack([x - lfilter([alpha], [1, alpha - 1], x) for x in (y_sim, slope)])
     forget = 1 - np.exp(-DT_S / 10.0)
     for at in (1000, 2000, 2900):
