@@ -95,10 +95,8 @@ def test_statistic_follows_its_formula(spec: RotorSignatureSpec) -> None:
 def test_residuals_are_free_run_by_scipy(spec: RotorSignatureSpec) -> None:
     motion, rows = dataclasses.replace(spec.motion, k0=(1.0, 1.0, 1.0), k1=(0.0, 0.0, 0.0)), flown(14, CALM)
     d = residuals(motion, rows, follows=False)
-    r, alpha = (
-        rows.rates.y[:, 0] - lfilter(motion.roll.b, motion.roll.a, rows.rates.u[:, 0]),
-        1 - np.exp(-DT_S / DRIFT_S),
-    )
+    alpha = 1 - np.exp(-DT_S / DRIFT_S)
+    r = rows.rates.y[:, 0] - lfilter(motion.roll.b, motion.roll.a, rows.rates.u[:, 0])
     r[:150] = 0
     r -= lfilter([alpha], [1, alpha - 1], r)
     np.testing.assert_allclose(d.r[1500:, 0], r[1500:], atol=1e-6)  # the start from the first measured rate dies out
