@@ -48,7 +48,7 @@ def identify(
         str | None, Option(metavar="NAME|FILE.toml", help=f"One of {', '.join(BUILTIN)}, or a file.")
     ] = None,
     layout: Annotated[str | None, Option(metavar="NAME", help=f"Rotor layout: {', '.join(LAYOUTS)}.")] = None,
-    name: Annotated[str | None, Option(metavar="LABEL", help="What to call the airframe.")] = None,
+    name: Annotated[str | None, Option(metavar="LABEL", help="Of the airframe.  [default: as the output]")] = None,
     fleet: Annotated[bool, Option("--fleet", help="The logs are of several vehicles of one type.")] = False,
     sessions: Annotated[
         int | None, Option(min=1, metavar="N", help="Sessions of the logs.  [default: by time]")
@@ -77,7 +77,7 @@ def identify(
         sessions=sessions,
         robust=robust,
     )
-    options = with_airframe(options, airframe, name, layout)
+    options = with_airframe(options, airframe, name or (None if airframe else output.stem), layout)
     if fleet:
         options = replace(options, airframe=replace(options.airframe, scope="type"))
     baseline = make_baseline(logs, options, vehicle=vehicle, from_s=from_s, to_s=to_s, columns=columns)

@@ -155,7 +155,7 @@ def test_a_pool_answers_as_one_process_does_in_order_and_keeps_it(scan: Any, arc
     again = scan(archive, archive / "absent.tlog", "--json", "--cache", tmp_path / "cache", "--jobs", 2)
     assert alone == pool == again
     code, out, err = pool
-    assert (code, err) == (2, "1 file skipped that are no flight logs\n")
+    assert (code, err) == (2, "skipped 1 file without a flight log\n")
     lines = [json.loads(line) for line in out.splitlines()]
     wanted = ("a.tlog", "b/1.tlog", "b/2.tlog", "b/9.tlog", "c.tlog", "absent.tlog")
     assert [one["log"] for one in lines] == [str(archive / name) for name in wanted]
