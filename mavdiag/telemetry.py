@@ -232,7 +232,10 @@ class Log(Tabular):
             if signal not in tuple(Signal):
                 raise InputError(f"no signal is named {signal!r}; there are {', '.join(Signal)}")
             try:
-                times, columns = map(_numbers, pair)
+                arrays: list[np.ma.MaskedArray[Any, Any]] = [np.ma.array(one) for one in pair]
+                if {one.dtype.kind for one in arrays} & {*"cmM"}:
+                    raise TypeError("neither dates nor complex ones")
+                times, columns = (np.ma.array(one, dtype=np.float64).filled(np.nan) for one in arrays)  # masked: NaN
             except (TypeError, ValueError) as error:
                 raise InputError(f"{signal}: give times and values, two arrays of numbers: {error}") from error
             columns = columns[:, None] if columns.ndim == 1 else columns
@@ -283,14 +286,6 @@ class Log(Tabular):
     def __repr__(self) -> str:
         notes = "".join(f"; {note}" for note in self.notes)
         return f"<Log {self.name}: profile {self.profile}, {counted(len(self.telemetry.series), 'signal')}{notes}>"
-
-
-def _numbers(values: ArrayLike) -> FloatArray:
-    array: np.ma.MaskedArray[Any, Any] = np.ma.array(values)
-    if array.dtype.kind in "cmM":
-        raise TypeError(f"they are {array.dtype}")
-    numbers: FloatArray = np.ma.array(array, dtype=np.float64).filled(np.nan)  # what is masked becomes NaN
-    return numbers
 
 
 def frame_of(tables: Sequence[tuple[str, FloatArray, Sequence[str], FloatArray]]) -> "DataFrame":

@@ -31,7 +31,6 @@ _ADVICE = {
     errno.ECONNREFUSED: "the connection is refused: nobody listens there; start the other end, or check host and port",
     errno.EMFILE: "too many open files: close some, or raise `ulimit -n`",
     **dict.fromkeys((errno.ENOENT, errno.ENXIO, errno.ENODEV), _NO_DEVICE),
-    errno.ENOTTY: "this is no serial device: look for its name with `ls /dev/tty*`",
     **dict.fromkeys((errno.EBUSY, errno.EAGAIN), "the device is busy: stop the program that holds it"),
 }
 
