@@ -133,8 +133,7 @@ def test_a_log_of_arrays_is_learnt_from_and_judged(tmp_path: Path) -> None:
         ({"body_rate": ([0.0, 0.1], [[0.0] * 3])}, "body_rate: give times .* not .2,., .1, 3."),
         *(({"body_rate": ([t], [[0.0] * 3])}, "body_rate: give times .* not NaN or beyond") for t in (np.nan, 1.7e18)),
         ({"body_rate": ([0.0], [[0.0] * 2])}, "body_rate: it has 3 columns, not 2"),
-        ({"height": ([0.0], [["low"]])}, "height: give times and values, two arrays of numbers: could not convert"),
-        ({"height": ([0.0],)}, "height: give times and values, two arrays of numbers: not enough"),
+        *(({"height": it}, "height: give times and values, two arrays") for it in (([0.0], ["low"]), ([0.0],))),
         *(
             ({"height": (np.array([0], kind), [0.0])}, "numbers: neither dates nor complex ones")
             for kind in ("m8[ms]", "c16")
