@@ -31,7 +31,7 @@ def plan(
     check_files(settings)
     check_address(settings.connect)
     yield f"link       {settings.connect}"
-    rest = "" if settings.baseline or settings.learn else " that have a baseline here"
+    rest = "" if settings.baseline or settings.learn else " with a baseline here"
     every = f"every vehicle on it{rest}, {settings.max_vehicles} at most"
     yield f"watches    {every if settings.vehicle is None else f'vehicle {settings.vehicle}'}"
     if settings.signing_key is not None:

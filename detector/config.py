@@ -20,6 +20,7 @@ from mavdiag.errors import InputError, UsageError
 from mavdiag.link.ports import Kind, parse_address
 from mavdiag.link.profiles import profile_named
 from mavdiag.link.wants import LEAST_HZ
+from mavdiag.monitors import by_name
 from mavdiag.storage import read_toml
 
 LONGEST_S = 3600.0  # of learning: the flight is kept in memory until then, a gigabyte of 1 kHz (our choice)
@@ -113,16 +114,20 @@ class Settings(SessionSettings):
     @field_validator("*", mode="before")
     @classmethod
     def _named(cls, value: Any, info: ValidationInfo) -> Any:
-        if value == "" and cls.model_fields[info.field_name or ""].default is None:  # as a path: the present folder
+        default = cls.model_fields[info.field_name or ""].default
+        if value == "" and default is None:  # as a path: the present folder
             raise ValueError("is empty; name one, or leave it out")
-        return value
+        return (value,) if isinstance(value, str) and isinstance(default, tuple) else value
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
+        every = self.baseline or self.learn or self.baselines
         if self.baseline is not None and self.learn is not None:
             raise ValueError("either --baseline FILE or --learn SECONDS, not both")
-        if self.baseline is None and self.learn is None and self.baselines is None and not self.vehicles:
+        if not every and not self.vehicles:
             raise ValueError("name a --baseline FILE, or --learn SECONDS of healthy flight")
+        if not every and self.vehicle is not None and self.vehicle not in self.vehicles:
+            raise ValueError(f"vehicle {self.vehicle} has no baseline here; name one in [vehicles.{self.vehicle}]")
         if self.ask_hz is not None and self.ask_hz < self.min_rate_hz:
             raise ValueError(f"ask_hz {self.ask_hz:g} is below min_rate_hz {self.min_rate_hz:g}: that would not do")
         for option in ("save", "airframe", "layout", "name"):
@@ -196,28 +201,32 @@ def load_settings(
         raise UsageError(_reason(error, where)) from error
     for hook in settings.hook:
         parse_hook(hook)
+    for name in settings.suspect:
+        by_name(name.partition(".")[0])
     parse_rules(settings.on_fault)
     parse_modes(settings.on_fault_modes)
     if settings.profile is not None:
         profile_named(settings.profile)
     if settings.web is not None:
         page_address(settings.web, settings.web_token_file, settings.web_names)
-    for one, other in combinations(_listening(settings), 2):
-        hosts = {one[1], other[1]}
-        if one[2:] == other[2:] and (len(hosts) == 1 or hosts & ANY.keys() or all(is_loopback(host) for host in hosts)):
-            raise UsageError(f"{one[0]} and {other[0]} listen on one port; give each its own")
+    for one, other in combinations(_ends(settings), 2):
+        hosts, listen = {one[1], other[1]}, one[4] + other[4]
+        here = len(hosts) == 1 or all(is_loopback(ANY.get(host, host)) for host in hosts)
+        if one[2:4] == other[2:4] and (here or (hosts & ANY.keys() and listen == 2)) and listen:
+            how = "listen on one port" if listen == 2 else "lead to each other"
+            raise UsageError(f"{one[0]} and {other[0]} {how}; give each its own")
     return settings
 
 
-def _listening(settings: Settings) -> Iterator[tuple[str, str, int, bool]]:
-    """Who listens for others, on which host and port, and whether by UDP; a port of 0 is any that is free."""
+def _ends(settings: Settings) -> Iterator[tuple[str, str, int, bool, bool]]:
+    """The ends here: name, host, port, whether by UDP, and whether it listens. A port of 0 is any that is free."""
     for name, said in (("metrics", settings.metrics), ("web", settings.web)):
         if said is not None and (place := split_address(said, name))[1]:
-            yield f"--{name} {said}", *place, False
+            yield f"--{name} {said}", *place, False, True
     for address in (settings.connect, *settings.forward):
         kind, host, port = parse_address(address)
-        if kind in (Kind.UDP_IN, Kind.TCP_SERVER) and port:
-            yield address, host, port, kind is Kind.UDP_IN
+        if kind is not Kind.SERIAL and port:
+            yield address, host, port, kind in (Kind.UDP_IN, Kind.UDP_OUT), kind in (Kind.UDP_IN, Kind.TCP_SERVER)
 
 
 def page_address(web: str, token_file: Path | None, names: Sequence[str] = ()) -> tuple[str, int]:
@@ -251,5 +260,5 @@ def _reason(error: ValidationError, where: Mapping[str, str]) -> str:
     if first["type"] == "extra_forbidden":
         known = Settings if len(steps) == 1 else VehicleSettings
         return f"{place}unknown key {key!r}; known are {', '.join(known.model_fields)}"
-    message = first["msg"].removeprefix("Value error, ")
+    message = first["msg"].removeprefix("Value error, ").partition(" for <class")[0]
     return f"{place}{key}: {message}" if key else f"{place}{message}"

@@ -146,7 +146,7 @@ class Daemon:
         learn_s, own = self._settings.learn, len(self._baselines)
         goals = ["watching by its baseline"] if self._baseline else []
         goals += [f"learning from {learn_s:g} s of healthy flight"] if learn_s and not self._baseline else []
-        whose = f"{counted(own, 'vehicle')} by a baseline of its own"
+        whose = f"{counted(own, 'vehicle')} by baselines of their own"
         goals += [whose if goals else f"watching {whose}"] if own else []
         behind = "".join(f", forwarding to {endpoint.address}" for endpoint in self._behind)
         for rule in parse_rules(self._settings.on_fault):

@@ -195,6 +195,8 @@ def _layout_notes(log: Log, baseline: Baseline) -> tuple[str, ...]:
 
 class _Run:
     def __init__(self, log: Log, chain: Chain, judged_share: float, keep: bool, show: Show | None) -> None:
+        if not 0 <= judged_share <= 1:
+            raise UsageError(f"judged_share must be 0 to 1, not {judged_share}")
         self.log, self.chain, self.judged_share, self.keep, self.show = log, chain, judged_share, keep, show
         self.state, self.likeness = chain.start(), Likeness(Outcome.ALIKE)
         self.changes, self.kept = list[Change](), list[Piece]()

@@ -4,12 +4,13 @@ import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mavdiag.errors import InputError
+from mavdiag.printable import counted
 from mavdiag.tabular import Tabular, pandas
 from mavdiag.units import NS_PER_S
 
@@ -138,9 +139,9 @@ class Telemetry:
 
     series: tuple[Series, ...] = ()
 
-    def get(self, signal: Signal) -> Series | None:
-        """The series of `signal`, or None if the vehicle did not send it."""
-        return next((s for s in self.series if s.signal is signal), None)
+    def get(self, signal: Signal | str) -> Series | None:
+        """The series of a signal, by the signal or its name, or None if the vehicle did not send it."""
+        return next((s for s in self.series if s.signal == signal), None)
 
     def need(self, signal: Signal) -> Series:
         """The series of `signal`. Raises InputError, naming it and what there is, if it is absent or empty."""
@@ -227,13 +228,16 @@ class Log(Tabular):
         array([       0, 10000000])
         """
         series = []
-        for signal, (t_s, values) in signals.items():
+        for signal, pair in signals.items():
             if signal not in tuple(Signal):
                 raise InputError(f"no signal is named {signal!r}; there are {', '.join(Signal)}")
             try:
-                times, columns = np.asarray(t_s, dtype=np.float64), np.asarray(values, dtype=np.float64)
+                arrays: list[np.ma.MaskedArray[Any, Any]] = [np.ma.array(one) for one in pair]
+                if {one.dtype.kind for one in arrays} & {*"cmM"}:
+                    raise TypeError("neither dates nor complex ones")
+                times, columns = (np.ma.array(one, dtype=np.float64).filled(np.nan) for one in arrays)  # masked: NaN
             except (TypeError, ValueError) as error:
-                raise InputError(f"{signal}: no array of numbers: {error}") from error
+                raise InputError(f"{signal}: give times and values, two arrays of numbers: {error}") from error
             columns = columns[:, None] if columns.ndim == 1 else columns
             known = (np.abs(times) < 2**63 / NS_PER_S).all()  # what nanoseconds in 64 bits can hold
             if not known or columns.ndim != 2 or times.shape != columns.shape[:1]:
@@ -245,6 +249,8 @@ class Log(Tabular):
             series.append(Series(Signal(signal), t_ns, t_ns, columns))
         telemetry = Telemetry(tuple(series))
         return cls(name, telemetry.digest, profile, telemetry, started_ns, motor_order=motor_order)
+
+    __iter__: ClassVar[None] = None  # Python would ask for signals 0, 1, ...: `telemetry` has the series
 
     def __getitem__(self, signal: Signal | str) -> Series:
         """The series of a signal, by the signal or its name. Raises InputError if the log has none."""
@@ -279,7 +285,7 @@ class Log(Tabular):
 
     def __repr__(self) -> str:
         notes = "".join(f"; {note}" for note in self.notes)
-        return f"<Log {self.name}: profile {self.profile}, {len(self.telemetry.series)} signals{notes}>"
+        return f"<Log {self.name}: profile {self.profile}, {counted(len(self.telemetry.series), 'signal')}{notes}>"
 
 
 def frame_of(tables: Sequence[tuple[str, FloatArray, Sequence[str], FloatArray]]) -> "DataFrame":

@@ -170,7 +170,7 @@ def _ids(text: str, plans: list[FlightPlan]) -> set[int]:
     known = {plan.dialect.sysid for plan in plans}
     words = text.split(",")
     if not all(word.strip().isdecimal() and int(word) in known for word in words):
-        raise UsageError(f"--faulty {text}: name system ids of the fleet, {min(known)} to {max(known)}, as in 3,7")
+        raise UsageError(f"--faulty {text}: name system ids of the fleet, {min(known)} to {max(known)}, by commas")
     return {int(word) for word in words}
 
 

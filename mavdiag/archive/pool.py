@@ -155,9 +155,7 @@ def _start(pool: Executor, workers: int) -> None:
     """Start the workers with SIGINT blocked, which they inherit: Ctrl-C goes to the whole group of processes."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
-        started = [
-            pool.submit(os.getpid) for _ in range(workers)
-        ]  # a pool starts one more with each, while none is idle
+        started = [pool.submit(os.getpid) for _ in range(workers)]  # one more starts with each while none is idle
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
     try:

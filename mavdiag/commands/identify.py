@@ -8,6 +8,7 @@ from typing import Annotated
 
 from typer import Argument, Option
 
+from mavdiag.airframe.airframe import UNNAMED
 from mavdiag.airframe.layout import LAYOUTS
 from mavdiag.airframe.load import BUILTIN
 from mavdiag.archive.paths import AS_BASELINE, check_output
@@ -23,7 +24,7 @@ from mavdiag.learning.learn import extend as extended
 from mavdiag.learning.suspicions import accepted
 from mavdiag.logs import read_part
 from mavdiag.monitors.run_length import MarginRule, RunLength
-from mavdiag.printable import counted
+from mavdiag.printable import counted, printable
 from mavdiag.telemetry import Log
 from mavdiag.thresholds.rule import BUDGET_PER_HOUR, FLIGHTS_PER_SUSPICION, ThresholdRule
 
@@ -48,7 +49,7 @@ def identify(
         str | None, Option(metavar="NAME|FILE.toml", help=f"One of {', '.join(BUILTIN)}, or a file.")
     ] = None,
     layout: Annotated[str | None, Option(metavar="NAME", help=f"Rotor layout: {', '.join(LAYOUTS)}.")] = None,
-    name: Annotated[str | None, Option(metavar="LABEL", help="What to call the airframe.")] = None,
+    name: Annotated[str | None, Option(metavar="LABEL", help="Of the airframe.  [default: as the output]")] = None,
     fleet: Annotated[bool, Option("--fleet", help="The logs are of several vehicles of one type.")] = False,
     sessions: Annotated[
         int | None, Option(min=1, metavar="N", help="Sessions of the logs.  [default: by time]")
@@ -80,7 +81,9 @@ def identify(
     options = with_airframe(options, airframe, name, layout)
     if fleet:
         options = replace(options, airframe=replace(options.airframe, scope="type"))
-    baseline = make_baseline(logs, options, vehicle=vehicle, from_s=from_s, to_s=to_s, columns=columns)
+    baseline = make_baseline(
+        logs, options, called=output.stem, vehicle=vehicle, from_s=from_s, to_s=to_s, columns=columns
+    )
     if not accept:
         accepted(baseline, "--accept")
     baseline.save(output)
@@ -96,16 +99,19 @@ def make_baseline(
     logs: Sequence[Path],
     options: LearnOptions,
     *,
+    called: str = UNNAMED,
     vehicle: int | None = None,
     from_s: float | None = None,
     to_s: float | None = None,
     columns: Path | None = None,
 ) -> Baseline:
-    """A baseline from log files, folders and patterns, stamped with the time of now. columns: map of CSV recordings."""
+    """A baseline from logs as named, stamped now. called: where nothing names the airframe. columns: map of CSV."""
     with _taken("learning from", logs, vehicle, (from_s, to_s), columns) as (count, flights):
         if (options.sessions or 0) > count:
             raise UsageError(f"--sessions {options.sessions}: at most {count}, one for each log")
-        return learn(flights, options, created=now())
+        found = learn(flights, options, created=now())
+    named = replace(found.airframe, name=printable(called)) if found.airframe.name == UNNAMED else found.airframe
+    return found.model_copy(update={"airframe": named})
 
 
 @contextmanager

@@ -84,5 +84,5 @@ def find_logs(arguments: Iterable[str | Path], columns: Path | None = None) -> t
     mapped = None if columns is None else load_column_map(columns)
     found = logs_named(arguments, is_log if mapped is None else is_csv)
     if found.skipped:
-        say(f"{counted(found.skipped, 'file')} skipped that are no flight logs", err=True)
+        say(f"skipped {counted(found.skipped, 'file')} without a flight log", err=True)
     return found, mapped

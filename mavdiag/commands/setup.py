@@ -96,9 +96,7 @@ def setup(
             free = (folder / f"flight-{number:03d}.tlog" for number in itertools.count(1))
             path = next(path for path in free if not path.exists())
             flights += [path] if coach.fly(path) else []
-    if options.airframe.name == Airframe().name:
-        options = with_airframe(options, None, f"vehicle {sysid}")
-    baseline = make_baseline(flights, options, vehicle=sysid)
+    baseline = make_baseline(flights, options, called=f"vehicle {sysid}", vehicle=sysid)
     if not accept:
         accepted(baseline, f"--accept; take flights that are not sound out of {folder}, and run this again")
     baseline.save(baseline_file)

@@ -89,14 +89,14 @@ class History:
             connection.execute(sa.insert(MARK).values(_MARKS.dump_python(mark, mode="json")))
 
     def names(self, airframe: str | None = None) -> tuple[str, ...]:
-        """Airframes that have flights, in order; or the one asked for. Raises UsageError if there is no such."""
+        """Airframes that have flights, in order; or the one asked for. Raises UsageError if there is none such."""
         with self._engine.begin() as connection:
             known = tuple(sorted(connection.scalars(sa.select(FLIGHT.c.airframe).distinct())))
-        if airframe is None:
-            return known
-        if airframe not in known:
-            raise UsageError(f"no airframe {airframe!r} in the history; there is {', '.join(known) or 'none yet'}")
-        return (airframe,)
+        if not known:
+            raise UsageError("no flight is in the history yet; add one with `mavdiag history add`")
+        if airframe not in (None, *known):
+            raise UsageError(f"no airframe {airframe!r} in the history; there is {', '.join(known)}")
+        return known if airframe is None else (airframe,)
 
     def flights(self, airframe: str) -> tuple[FlightRecord, ...]:
         """All of an airframe, in order of time; those without a time by when they were added."""

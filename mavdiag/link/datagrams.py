@@ -19,8 +19,7 @@ Chunk: TypeAlias = tuple[bytes, int]  # the bytes as they came, and the host clo
 class Datagrams:
     """Datagrams, or reads of a byte stream, in order of arrival; iterates them one by one.
 
-    data: bytes of all, end to end. sizes, host_ns, whose: (n,) bytes, time of arrival [ns] and sender of each, by its
-    place in `peers`.
+    data: bytes of all, end to end. sizes, host_ns, whose: (n,) bytes, arrival [ns] and place in `peers` of each.
     """
 
     data: Bytes

@@ -161,8 +161,7 @@ _ROWS = (
     replace(
         _QDRONE2, name="spec", recognise=lambda seen: seen.weighs(IIM_42652), accel_unit=G / 2048, gyro_unit=DEG / 16.4
     ),
-    # ArduPilot Copter: RAW_IMU is low-passed at 20 Hz (INS_GYRO_FILTER, INS_ACCEL_FILTER) and stamped when sent; 50 to
-    # 200 Hz are met exactly.
+    # ArduPilot Copter: RAW_IMU is low-passed (INS_GYRO_FILTER, INS_ACCEL_FILTER), stamped when sent; 50-200 Hz exact.
     replace(
         _QDRONE2,
         name="ardupilot",

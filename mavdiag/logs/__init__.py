@@ -1,7 +1,6 @@
 """Logs of flights, whatever wrote them: a file becomes the same telemetry as a live link.
 
-The kind of a file is decided by its content, never by its name. A new kind is a reader module that exposes KIND, and
-its name in `_READERS`.
+A file's kind is decided by its content, never by its name. A new one is a module that has KIND, named in `_READERS`.
 """
 
 import math

@@ -255,8 +255,7 @@ def read_dataflash(path: Path) -> Log:
 
     ACTUATOR has one column per motor, in the order of the SERVOn_FUNCTION parameters where the log has them, and
     otherwise one per output channel up to the last one in use; so has ROTOR_SPEED, for an ESC has the number of its
-    output. ARMED has a row for each change. Raises InputError for a file that is unreadable, of another kind, or
-    without a known signal.
+    output. ARMED has a row a change. Raises InputError for a file that is unreadable, of another kind or empty.
     """
     walk, digest = Walk(WANTED), hashlib.sha256()
     for window in windows_of(path):

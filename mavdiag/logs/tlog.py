@@ -138,8 +138,7 @@ def vehicle_stream(path: str | Path, profile: str | None = None) -> Iterator[Log
 
     A vehicle is what sends the heartbeats of a multirotor's autopilot. The logs are as `read_tlog` gives them, but
     their names end with the vehicle where there are several: "flight.tlog vehicle 7". profile: name of the link profile
-    of all; None recognises that of each. Raises as `read_tlog` does; for a vehicle whose profile is not clear when its
-    turn comes.
+    of all; None recognises that of each. Raises as `read_tlog` does, where a profile is unclear at its vehicle's turn.
     """
     return _flights(Path(path), profile, None, several=True)
 

@@ -223,8 +223,7 @@ def _strip(shown: StripView, view: View, width: int) -> list[Text]:
 
 
 def strip(shown: StripView, from_s: float, to_s: float, width: int, rows: int) -> list[Text]:
-    """The lines of a strip, from the highest values to the lowest. Of several curves in a character the last has its
-    colour.
+    """The lines of a strip, highest values first. Of several curves in a character the last has its colour.
 
     >>> flat = Curve(np.array([0.0, 1.0]), np.array([0.0, 0.0]), "")
     >>> [line.plain for line in strip(StripView("", (flat,), -1.0, 1.0), 0.0, 2.0, 2, 1)]

@@ -201,8 +201,7 @@ def messages_due(filtered: FilteredSamples, schedule: Schedule, dialect: Dialect
 def records(msgid: int, filtered: FilteredSamples, rows: IntArray, dialect: Dialect) -> tuple[IntArray, Record]:
     """The payloads of one message that is due at some rows of a block, and the row of each payload.
 
-    There are more payloads than rows where one message does not carry all rotors. Fields without a column are zero, but
-    for the time.
+    They are more than the rows where one message does not carry all rotors. Fields without a column but time are zero.
     """
     due = _Due(filtered, rows, dialect)
     times: Columns = {"time_boot_ms": due.boot_ms, "time_usec": due.boot_us}

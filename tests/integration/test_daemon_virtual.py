@@ -278,7 +278,7 @@ def test_each_vehicle_of_a_fleet_is_judged_by_its_own_baseline(benches: Benches)
     words = [line for line in bench.host.lines if "vehicle 1" in line]
     assert words == ["vehicle 1: not watched: it has no baseline; name one in [vehicles.1]"]
     assert not any("but several fly" in line for line in bench.host.lines)
-    assert "watching 2 vehicles by a baseline of its own" in bench.host.lines[0]
+    assert "watching 2 vehicles by baselines of their own" in bench.host.lines[0]
 
 
 @pytest.fixture

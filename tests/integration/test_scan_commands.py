@@ -155,7 +155,7 @@ def test_a_pool_answers_as_one_process_does_in_order_and_keeps_it(scan: Any, arc
     again = scan(archive, archive / "absent.tlog", "--json", "--cache", tmp_path / "cache", "--jobs", 2)
     assert alone == pool == again
     code, out, err = pool
-    assert (code, err) == (2, "1 file skipped that are no flight logs\n")
+    assert (code, err) == (2, "skipped 1 file without a flight log\n")
     lines = [json.loads(line) for line in out.splitlines()]
     wanted = ("a.tlog", "b/1.tlog", "b/2.tlog", "b/9.tlog", "c.tlog", "absent.tlog")
     assert [one["log"] for one in lines] == [str(archive / name) for name in wanted]
@@ -276,10 +276,10 @@ def test_the_model_of_a_log_has_figures_with_standard_errors(mavdiag: Any, fligh
 
 def test_models_of_a_baseline_are_those_of_its_fsd_monitors(mavdiag: Any, flights: list[Path], tmp_path: Path) -> None:
     baseline = tmp_path / "$x^$.json"  # no formula
-    asked = ("--airframe", "qdrone2", "--name", "drone 1", "--monitors", "thesis", "--details")
+    asked = ("--layout", "qdrone2", "--monitors", "thesis", "--details")
     code, out, _ = mavdiag("identify", *flights, "-o", baseline, *asked)
     assert code == 0
-    assert "drone 1 (airframe)\nrotor layout qdrone2 (told)\n" in out
+    assert "$x^$ (airframe)\nrotor layout qdrone2 (told)\n" in out  # called as its file
     assert out.endswith(f"written to {baseline}\n")
     code, out, _ = mavdiag("model", baseline, "--json", "--plot", tmp_path / "b.svg")
     assert (code, *(json.loads(line)["axis"] for line in out.splitlines())) == (0, "roll", "pitch")  # B26: by default

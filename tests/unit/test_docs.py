@@ -47,8 +47,8 @@ RUN = (
     "mavdiag export --lua my_drone.json -o propeller.lua",
     "mavdiag history add flights/ --baseline drone1.json",
     "mavdiag history show --html trends.html",
-    'mavdiag history mark --airframe "drone 1" --new-propellers',
-    'mavdiag history list --airframe "drone 1" --json',
+    "mavdiag history mark --airframe drone1 --new-propellers",
+    "mavdiag history list --airframe drone1 --json",
     "sitl-plant serve-ardupilot --print-parameters ardupilot",
 )
 WRITTEN = (
@@ -133,7 +133,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
             run(f"sitl-plant record -o {name} --profile ardupilot --rate 100 --duration 30 --seed {seed}")
         for copy in ("flight.bin", "hover.tlog", "LOG", "more/2026-01/monday.tlog"):
             (here / copy).write_bytes((here / "flights/today.bin").read_bytes())
-        run('mavdiag identify healthy/ -o drone1.json --name "drone 1"')
+        run("mavdiag identify healthy/ -o drone1.json")
         (here / "BASELINE").write_bytes((here / "drone1.json").read_bytes())
         yield here
 

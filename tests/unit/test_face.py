@@ -133,7 +133,12 @@ def test_a_log_of_arrays_is_learnt_from_and_judged(tmp_path: Path) -> None:
         ({"body_rate": ([0.0, 0.1], [[0.0] * 3])}, "body_rate: give times .* not .2,., .1, 3."),
         *(({"body_rate": ([t], [[0.0] * 3])}, "body_rate: give times .* not NaN or beyond") for t in (np.nan, 1.7e18)),
         ({"body_rate": ([0.0], [[0.0] * 2])}, "body_rate: it has 3 columns, not 2"),
-        ({"height": ([0.0], [["low"]])}, "height: no array of numbers: could not convert"),
+        *(({"height": it}, "height: give times and values, two arrays") for it in (([0.0], ["low"]), ([0.0],))),
+        *(
+            ({"height": (np.array([0], kind), [0.0])}, "numbers: neither dates nor complex ones")
+            for kind in ("m8[ms]", "c16")
+        ),
+        ({"height": (np.ma.masked_equal([0.0], 0.0), [0.0])}, "height: give times .* not NaN"),
     ],
 )
 def test_arrays_of_no_signal_are_refused(signals: dict[str, tuple[list[float], list[list[float]]]], says: str) -> None:

@@ -30,5 +30,8 @@ class Serial(Reconnecting):
             return Stream(device.fileno(), device.close)
         except termios.error as error:  # it went while it was set up; pyserial lets this out, which is no OSError
             raise OSError(*error.args) from error
+        except serial.SerialException as error:
+            told = error.errno, error.strerror if error.errno else "this is no serial device: see `ls /dev/tty*`"
+            raise OSError(*told) from error
         except ValueError as error:
             raise OSError(0, f"{self._baud} baud is not a speed of this device: try 57600, 115200 or 921600") from error
