@@ -220,7 +220,9 @@ class Beginning:
                 found = self.likeness(motors=not self.whole) if border_s in (MOTORS_S, FIRST_S) else None
                 if found is not None and (self.whole or found.outcome is Outcome.FAR):
                     return found
-        self._keep(rows.part(first, len(block)))
+        block = rows.part(first, len(block)).block
+        x = block.x[: OUTPUTS + block.outputs].copy()  # without the room
+        self._rows.append(Rows(Block(block.segment, block.dt_s, block.t_ns, x, block.outputs), rows.rates_ns))
         self._valid += len(at)
         return None
 
@@ -231,11 +233,6 @@ class Beginning:
         """
         learnt = {one.name: (one.mean, one.spread) for one in self._learnt.figures}
         return _compared(_figures(self._seen(), self._layout, motors=motors), learnt, self._layout)
-
-    def _keep(self, rows: Rows) -> None:
-        block = rows.block
-        x = block.x[: OUTPUTS + block.outputs].copy()  # without the room
-        self._rows.append(Rows(Block(block.segment, block.dt_s, block.t_ns, x, block.outputs), rows.rates_ns))
 
     def _seen(self, *latest: Rows) -> list[_Shown]:
         return [*self._shown, *(_shown(block, self._layout) for block in joined([*self._rows, *latest]))]

@@ -25,7 +25,7 @@ local B = { -- trims are fractions of hover, by roll, pitch and yaw
     pull = {{ entry.spec.pull }}, -- roll and pitch trim by pull [1/rad]
     errors = {{ par[name][12:15] }}, days = {{ par[name][30] }}, -- variances: of pull, 9 of turn; of the yaw trim by day
     felt = {{ entry.spec.felt | int }}, turn_trim = {{ turning }}, -- by the accelerometer; of a tick that counts half
-    least = {{ trims.MIN_OUTPUT }}, sums = {{ entry.spec.layout.unmixing.sum(axis=1) }}, -- mean output, 0..1
+    least = {{ trims.MIN_OUTPUT }}, curve = {{ trims.CURVE }}, -- mean output, 0..1; of thrust by output
     unmix = {{ entry.spec.layout.unmixing }}, scale = {{ par[name][-1] }}, -- trim by output; of what a rise explains
     weight = {{ evidence[name].weight }}, unit = {{ evidence[name].least }}, -- [logits] by what shows a rotor; unit
 {% endif %}
@@ -170,10 +170,10 @@ local part, rows, known, moved, tick, tick_run, weight = 1, 0, 0, false, 0, 0, 0
 local function take_trim(row) -- [fraction of hover]
   local level = 0.0
   for j = 1, R do level = level + row[j] end
-  for axis = 1, 3 do
-    local sum = 0.0
-    for j = 1, R do sum = sum + T.unmix[axis][j] * row[j] end
-    now[axis] = level > T.least * R and sum * R / level - T.sums[axis] or NAN
+  now[1], now[2], now[3] = 0.0, 0.0, 0.0
+  for j = 1, R do
+    local w = level > T.least * R and row[j] * R / level - 1.0 or NAN
+    for axis = 1, 3 do now[axis] = now[axis] + T.unmix[axis][j] * (w + T.curve * w * w) end
   end
   now[4], now[5], now[6] = finite(row.roll) and row.roll or 0.0, finite(row.pitch) and row.pitch or 0.0, row.r
   if T.felt == 1 then now[4], now[5] = -row.fy / {{ gravity }}, row.fx / {{ gravity }} end

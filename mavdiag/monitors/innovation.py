@@ -4,7 +4,7 @@ The prediction follows the measured rate, so what is left is what is new in each
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -13,22 +13,14 @@ from mavdiag.errors import IdentificationError
 from mavdiag.identify.arx import triangle
 from mavdiag.jit import allocating, cached
 from mavdiag.monitors.base import Begin, Flights, LearnContext, Monitor, segments
-from mavdiag.monitors.fitting import (
-    MEMORY_S,
-    cut_to_share,
-    need_commanded,
-    of_each,
-    smoothed,
-    three,
-    variance_law,
-)
+from mavdiag.monitors.fitting import MEMORY_S, cut_to_share, need_commanded, of_each, smoothed, three, variance_law
 from mavdiag.monitors.spec import Delay, NotNegative, Positive, spec
-from mavdiag.rows.block import COMMANDED, GYRO, LEVEL, SOUND, VALUE, Floats, Ints, U
+from mavdiag.rows.block import COMMANDED, GYRO, LEVEL, MADE_UP, SOUND, VALID, VALUE, Floats, Ints, U
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.running import FRESH, mean_size, push, total
 from mavdiag.rows.windows import forgetting, window_all, window_rows
-from mavdiag.telemetry import BoolArray, FloatArray, Signal, Three
+from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal, Three
 
 LAG = 4  # rows that A and B look back: METHOD section 5; 2 to 5 change no verdict on the recorded flights
 SETTLED = 3.0  # so many times the memory after a command what it made has passed (our choice)
@@ -44,9 +36,9 @@ GLITCH_ROWS = 3 + LAG  # whose innovations three bad samples spoil
 # (our choice).
 LIMIT, MOST = 6.0, 1e6
 STILL_ROWS = 3  # equal ones after another say nothing new, be they rounded or repeated (our choice)
-# Places in the parameters, of each axis mean, k0, k1, a and b; and in the memory: good rows and equal rows in a row,
-# the mean square of each axis's command, its mean error, and the mean of the innovations.
-WINDOW, ALPHA, SLOW, AXES = range(4)
+# Places in the parameters: of how many rows ago rates are, of each axis mean, k0, k1, a and b; and in the memory: good
+# rows and equal rows in a row, the mean square of each axis's command, its mean error, and the mean of the innovations.
+WINDOW, ALPHA, SLOW, BEHIND, AXES = range(5)
 MEAN_AT, K0, K1, A, B, OF_AXIS = 0, 1, 2, 3, 3 + LAG, 3 + 2 * LAG
 GOOD, SAME, BUSY, DRIFT, MEAN = 0, 1, 2, 5, 8
 
@@ -97,7 +89,7 @@ def _squares(par: Floats, mem: Floats, x: Floats, known: int) -> Floats:
 @cached
 def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats, rotors: Floats, at: Ints) -> int:
     """The level at each row whose commanded rate became known."""
-    window, row, squares = int(par[WINDOW]), MEAN + FRESH, _squares(par, mem, x, known)
+    window, row, squares, behind = int(par[WINDOW]), MEAN + FRESH, _squares(par, mem, x, known), int(par[BEHIND])
     for k in range(squares.shape[1]):
         i, sum_, same, usual, most, level = known + k, 0.0, True, 0.0, 0.0, 0.0
         for axis in range(3):
@@ -107,9 +99,14 @@ def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats
         good = x[COMMANDED, i] > 0.5 and math.isfinite(sum_) and mem[SAME] < STILL_ROWS
         mem[GOOD] = mem[GOOD] + 1.0 if good else 0.0
         sound = mem[GOOD] > LAG
-        if sound:  # the last second of *valid* rows: a gap within a segment does not start the window anew
-            mem[row], mem[row + 1], mem[row + 2] = usual, most - usual, 1.0 if most > usual else 0.0
-            sound = push(mem, MEAN, window, 3, True)
+        if sound:  # the last second of *measured* rows: a gap within a segment does not start the window anew
+            measured = True
+            for j in range(i - behind - LAG, i - behind + 1):
+                measured = measured and x[VALID, j] != MADE_UP
+            if measured:
+                mem[row], mem[row + 1], mem[row + 2] = usual, most - usual, 1.0 if most > usual else 0.0
+                push(mem, MEAN, window, 3, True)
+            sound = mem[MEAN + 1] >= window
             rough = total(mem, MEAN, 3, 2)
             share = 1.0 - GLITCH_ROWS / rough if rough > GLITCH_ROWS + 0.5 else 0.0
             sum_ = total(mem, MEAN, 3, 0) + share * total(mem, MEAN, 3, 1)
@@ -126,7 +123,7 @@ class Innovation(Monitor[InnovationSpec]):
 
     u: commanded rate, y: raw gyro less its healthy bias, one ARX(4, 4, 1) by least squares for each axis. Of what z^2
     is beyond 36, in n rows of the second, the share 1 - 7/n counts: a glitch of three samples spoils 7 rows, and the
-    statistic has no step that few flights could not foretell. A row whose gyro is that of the three before is left out.
+    statistic has no step that few flights could not foretell. Rows that repeat or rest on lost samples are left out.
     Gusts move e below 5 Hz, and no calm flight tells how far: what the errors before had on the mean is no news.
     Without a filter in the stream A and B are fitted to the gyro as it is, and with what is fast in it shifted by 6 and
     12 % of a rotor's frequency: a folded line moves with a load, so that 15 % of payload at 100 Hz made 1.6 of 1.
@@ -177,7 +174,10 @@ class Innovation(Monitor[InnovationSpec]):
             # [ -y(t-1) .. -y(t-4)   u(t-1) .. u(t-4)   y(t) ]'    (9, n), the valid rows of all flights
             stacked = np.concatenate([_regression(one, axis, float(mean[axis])) for one in pairs], axis=1)
             triangles = [triangle(_regression(one, axis, float(mean[axis])).T) for one in shifted]
-            theta = _least_squares(triangle(np.concatenate((triangle(stacked.T), *triangles))))
+            R = triangle(np.concatenate((triangle(stacked.T), *triangles)))
+            scale = np.linalg.norm(R[:, :-1], axis=0)
+            scale[scale == 0.0] = 1.0  # b of an axis that is never commanded is undetermined, and comes out as zero
+            theta = np.linalg.lstsq(R[:, :-1] / scale, R[:, -1], rcond=RANK_TOLERANCE)[0] / scale
             errors = np.split((stacked[-1] - theta @ stacked[:-1])[:, None], borders)
             squares = np.concatenate([np.square((e - smoothed(e, slow)) / (1.0 - slow)) for e in errors])[:, 0]
             steps = np.abs(np.diff(stacked[-1]))
@@ -201,11 +201,11 @@ class Innovation(Monitor[InnovationSpec]):
 
     def begin(self, dt_s: float) -> Begin:
         """No row yet."""
-        spec, window = self.spec, window_rows(self.spec.window_s, dt_s)
+        spec, window, behind = self.spec, window_rows(self.spec.window_s, dt_s), round(self.spec.delay_s / dt_s)
         axes = zip(spec.mean, spec.k0, spec.k1, spec.a, spec.b, strict=True)
         each = [value for mean, k0, k1, a, b in axes for value in (mean, k0, k1, *a, *b)]
-        par = np.array([window, forgetting(spec.memory_s, dt_s), forgetting(spec.slow_s, dt_s), *each])
-        return Begin(par, np.zeros(MEAN + mean_size(window, 3)), LAG)
+        par = np.array([window, forgetting(spec.memory_s, dt_s), forgetting(spec.slow_s, dt_s), behind, *each])
+        return Begin(par, np.zeros(MEAN + mean_size(window, 3)), LAG + behind)
 
 
 class _Pairs(NamedTuple):
@@ -218,33 +218,36 @@ class _Pairs(NamedTuple):
 
 def _training_pairs(flights: Flights) -> list[_Pairs]:
     """Of each segment of all flights the first rows, so many that a like share of what is commanded is in them."""
-    counts = [count for of_flight in of_each(flights, "commanded rows", _commanded_rows) for count in of_flight]
+    each = of_each(flights, "commanded rows", lambda flight: [*map(_commanded, segments(flight))])
+    counts = [count for one in each for count in one]
     shares = iter(cut_to_share(counts, TRAIN_ROWS, 0))  # of one flight after the other, so that one is in memory
     pairs = (pair for flight in flights for pair in zip(segments(flight), shares, strict=False))
     return [_pairs_of(segment, most) for segment, most in pairs if most]
 
 
-def _commanded_rows(flight: Sequence[Rows]) -> list[int]:
-    """How many rows of each segment are commanded."""
-    return [sum(int(np.count_nonzero(rows.rates.commanded)) for rows in segment) for segment in segments(flight)]
+def _commanded(segment: Iterable[Rows]) -> int:
+    return sum(int(np.count_nonzero(rows.rates.commanded)) for rows in segment)
 
 
 def _pairs_of(segment: Iterable[Rows], most: int) -> _Pairs:
     """The pairs of a segment up to so many commanded rows."""
-    parts, dt_s = [], 0.0
-    for rates in (rows.rates for rows in segment):
+    parts, dt_s, made_up = [], 0.0, list[IntArray]()
+    for rates, block in ((rows.rates, rows.block) for rows in segment):
         dt_s = rates.dt_s
+        made_up.append(block.t_ns[block.x[VALID] == MADE_UP])
         n = int(np.searchsorted(np.cumsum(rates.commanded), most)) + 1
-        parts.append((rates.u[:n].T, rates.gyro[:n].T, rates.gyro[:n].T - rates.y[:n].T, rates.commanded[:n]))
+        gyro = rates.gyro[:n].T
+        parts.append((rates.u[:n].T, gyro, gyro - rates.y[:n].T, rates.commanded[:n], rates.t_ns[:n]))
         most -= int(np.count_nonzero(rates.commanded[:n]))
         if most <= 0:
             break
-    u, y, fast, good = (np.concatenate(column, axis=-1) for column in zip(*parts, strict=True))
+    u, y, fast, good, t_ns = (np.concatenate(column, axis=-1) for column in zip(*parts, strict=True))
     known = np.isfinite(u).all(axis=0) & np.isfinite(y).all(axis=0)
     u, y, fast = (np.pad(np.where(np.isfinite(one), one, 0.0), ((0, 0), (LAG, 0))) for one in (u, y, fast))
     changed = np.concatenate(([False], (y[:, 1:] != y[:, :-1]).any(axis=0)))
     stirred = ~window_all(~changed, STILL_ROWS)[LAG - STILL_ROWS + 1 :]
-    valid = np.concatenate((np.zeros(LAG, dtype=np.bool_), good & known & stirred))
+    good = good & known & stirred & ~np.isin(t_ns, np.concatenate(made_up))
+    valid = np.concatenate((np.zeros(LAG, dtype=np.bool_), good))
     busy = smoothed(np.square(u[:, LAG:]).T, forgetting(MEMORY_S, dt_s)).T
     return _Pairs(u, y, window_all(valid, LAG + 1), busy, fast)
 
@@ -260,13 +263,6 @@ def _regression(pairs: _Pairs, axis: int, mean: float) -> FloatArray:
     y, u, n = pairs.y[axis] - mean, pairs.u[axis], len(pairs.valid)
     columns = [signal[LAG - i : LAG - i + n] for signal in (-y, u) for i in range(1, LAG + 1)]
     return np.compress(pairs.valid, [*columns, y[LAG:]], axis=1)
-
-
-def _least_squares(R: FloatArray) -> FloatArray:
-    """a_1..a_4 and b_1..b_4; the b of an axis that is never commanded are undetermined, and come out as zero."""
-    scale = np.linalg.norm(R[:, :-1], axis=0)
-    scale[scale == 0.0] = 1.0
-    return np.asarray(np.linalg.lstsq(R[:, :-1] / scale, R[:, -1], rcond=RANK_TOLERANCE)[0] / scale)
 
 
 def _four(values: FloatArray) -> Four:

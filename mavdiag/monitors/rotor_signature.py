@@ -318,7 +318,7 @@ class RotorSignature(Monitor[RotorSignatureSpec]):
         """Identify the healthy motion."""
         layout, stride, dt_s = context.layout, max(1, round(SAMPLE_S / context.dt_s)), context.dt_s
         need_commanded(flights)
-        if not any(of_each(flights, "felt z", _felt)):
+        if not any(of_each(flights, "felt z", lambda flight: any(map(_felt, flight)))):
             raise InputError("no accelerometer, which separates a rotor from its opposite")
         gathered = of_each(flights, cls.name, lambda flight: samples_of(flight, stride, context.window))
         samples = [segment for flight in gathered for segment in flight]
@@ -412,10 +412,8 @@ def _with_variances(motion: HealthyMotion, samples: Sequence[FloatArray]) -> Hea
     return motion
 
 
-def _felt(flight: Sequence[Rows]) -> bool:
-    """Whether a flight that follows a set-point has an accelerometer along z."""
-    flown = (rows.block for rows in flight if rows.rates.commanded.any())
-    return any((block.valid & np.isfinite(block.force[:, 2])).any() for block in flown)
+def _felt(rows: Rows) -> bool:
+    return bool(rows.rates.commanded.any() and (rows.block.valid & np.isfinite(rows.block.force[:, 2])).any())
 
 
 def _patterns(layout: RotorLayout) -> FloatArray:

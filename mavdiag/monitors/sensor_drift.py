@@ -27,6 +27,7 @@ TICK_S = 0.1  # our choice
 MEAN_S = 2.0  # of the attitude that the gyro does not explain, now and then (our choice)
 LAG_S = 15.0  # between the two; less while the flight is young (our choice: twice a usual time constant of estimators)
 VERTICAL_S = 4.0  # of each of two means of the vertical acceleration (our choice)
+LATE_S = 0.02  # by which an attitude may be older than the gyro: a period of 50 Hz (our choice)
 TURN_SHARE = 0.01  # of a turn that a healthy gyro may be wrong by, scale and cross-axis (IIM-42652 data sheet: 1 %)
 # rad/s: change of a gyro's bias between flights that is no fault. The IIM-42652's data sheet has 0.005 deg/s a kelvin,
 # and electronics warm up by some 45 K after the power is on: 0.225 deg/s. At the threshold of 2.5 a bias of 0.01 rad/s,
@@ -140,7 +141,9 @@ def _walk(par: Floats, mem: Floats, whole: bool, found: Floats) -> bool:
         found[0] = math.hypot(north, east)
         found[1] = abs(_mean(mem, newest + 2 * of, 0, mean) - _mean(mem, newest + 2 * of, apart, mean))
         turned = _mean(mem, newest + 4 * of, 0, mean) - _mean(mem, newest + 4 * of, apart, mean)
-        found[3] = TURN_SHARE * turned + apart * (USUAL_BIAS * span_s)
+        new, old = newest + 4 * of, newest + 4 * of - apart
+        rates = mem[new] - mem[new - mean + 1] + mem[old] - mem[old - mean + 1]  # of both windows
+        found[3] = TURN_SHARE * turned + apart * (USUAL_BIAS * span_s) + LATE_S / MEAN_S * rates
     if ticks >= 2 * lift:
         late, early = _mean(mem, newest + 3 * of, 0, lift), _mean(mem, newest + 3 * of, lift, lift)
         found[2] = min(abs(late), abs(early)) if late * early > 0.0 else 0.0
@@ -191,11 +194,11 @@ class SensorDrift(Monitor[SensorDriftSpec]):
         E = (phi + i theta) e^(i psi) - integral (p + i q) e^(i psi) dt           tilt that the gyro does not explain
         Y = psi - integral (q sin phi + r cos phi)/cos theta dt                   the same of the heading
         V = g + specific force along the vertical of the attitude phi, theta, psi
-        s = max( |dE|/(tilt + e), |dY|/(heading + e), |V|/lift ),    e = 0.01 R + 0.004 rad/s L
+        s = max( |dE|/(tilt + e), |dY|/(heading + e), |V|/lift ),    e = 0.01 R + 0.004 rad/s L + 0.02 s (r + r')
 
     dE, dY: change of their 2 s means over L = 15 s, or over as much as there is since the last gap; R: angle that the
-    gyro turned in it. |V|: the smaller of two 4 s means, one after the other, where both have the same sign, so that
-    the start of a climb does not count.
+    gyro turned in it; r, r': mean turning rate of each of the 2 s, for an attitude may come late. |V|: the smaller of
+    two 4 s means, one after the other, where both have the same sign, so that the start of a climb does not count.
 
     Warm-up: 4 s without a gap, 8 s for V. Latency: a gyro bias of 0.05 rad/s takes 6 s, a drift of 0.002 rad/s^2 15 s,
     a vertical bias of 0.5 m/s^2 6 s. False alarms: a mount that slips, cameras that jump. Blind spots: a gyro's scale,

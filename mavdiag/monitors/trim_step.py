@@ -61,7 +61,9 @@ def _take_window(par: Floats, mem: Floats, shift: Floats, before: Floats) -> boo
     shift[:] = 0.0
     if mem[trim.RUN] < 2 * window:
         return False
-    trim.window_means(par, mem, 0, shift)
+    trim.window_means(par, mem, 0, before)
+    trim.window_means(par, mem, 1, shift)
+    shift[trim.LIFT] = before[trim.LIFT]  # the height's loop answers a load later than the trim
     trim.window_means(par, mem, window, before)
     if mem[THERE] < 0.5:
         for j in range(trim.MEANS):
@@ -113,7 +115,7 @@ def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats
 class TrimStep(trim.TrimMonitor[TrimStepSpec]):
     """Statistic: the rise of ONE rotor's command against the same flight before [fraction of hover].
 
-        m: trim averaged over 5 s as rotor_trim has it,    a_j: rise of rotor j that explains m - m_ref
+        m: trim averaged over 5 s, 0.5 s before o that answers a load later,    a_j: rise of rotor j for m - m_ref
         statistic = the larger of: a_j of the rotor with the largest a_j |c_j|; max_j b_j
         b_j = max(0, min(g_j, n l) - 3 s_j)/(1 - 3 s_j/(n l)),    n: rotors,    l = ln(o/o_ref),    s_j: sd of g_j
         g_j = (c_j . d - |c_j x d|)/|c_j|^2 of roll and pitch alone,    d = m - m_ref

@@ -344,7 +344,7 @@ def _move(s: Streams, place: int, first: int, stop: int, to: int) -> None:
 
 @jit
 def _merge(s: Streams, place: int, count: int, gyro: IntArray, gyro_ns: int, steps: IntArray) -> bool:
-    """Sort in the samples that came; whether one is late. Of equal times the last to come counts.
+    """Sort in the samples that came; whether one is late. Of equal times the first counts, of held values the last.
 
     gyro: (2, m) times of vehicle and receiver of what the gyro brings, after gyro_ns. steps: room; none in a log, where
     nothing asks for the usual step.
@@ -374,6 +374,7 @@ def _merge(s: Streams, place: int, count: int, gyro: IntArray, gyro_ns: int, ste
             at -= 1
         hi += 1
         if at > lo and t[at - 1] == at_ns:
+            at += place < THRUST
             _move(s, place, at, hi, at - 1)
             hi -= 1
     marks[HI], marks[NEWEST] = hi, newest
@@ -501,6 +502,10 @@ def _rows(s: Streams, until_ns: int, dt_ns: float, resampled: bool, before: int)
     if count:
         _fill(s, rows[:count], x, before)
         s.now[LAST] = rows[count - 1]
+    for row in range(0 if resampled else count):
+        while t[first] < rows[row]:
+            first += 1
+        x[col.VALID, before + row] *= col.MADE_UP if t[first] > rows[row] else 1.0
     return rows[:count], x, stop < hi and t[stop] <= until_ns
 
 

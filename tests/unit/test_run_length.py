@@ -19,7 +19,7 @@ from mavdiag.monitors.base import Flights
 from mavdiag.monitors.fitting import variance_law
 from mavdiag.monitors.innovation import Innovation, InnovationSpec
 from mavdiag.monitors.run_length import RunLength, RunLengthSpec
-from mavdiag.rows.block import WHOLE, U
+from mavdiag.rows.block import MADE_UP, VALID, WHOLE, U
 from mavdiag.rows.front import Rows
 from mavdiag.telemetry import Axis, FloatArray
 
@@ -158,6 +158,15 @@ def test_one_wild_sample_adds_no_more_than_its_bound() -> None:
     assert np.isfinite(shocked.value).all()
     assert shocked.value[:1200].max() < (calm.value[:1200].max() ** 2 + 5 * 36.0 / 100) ** 0.5 + 0.01  # 5 rows feel it
     np.testing.assert_allclose(shocked.value[1200:], calm.value[1200:], atol=1e-3)
+
+
+def test_rows_that_were_made_up_are_no_news_and_teach_nothing() -> None:
+    whole, rate, lost = responding(6000, 11), responding(6000, 11).block.rate.copy(), slice(10, None, 20)
+    spec, rate[lost] = fit([[whole]]), rate[lost] + 0.1
+    lossy = example_rows(6000, DT_S, setpoint=whole.block.setpoint, rate=rate)
+    lossy.block.x[VALID, lost] = MADE_UP
+    assert read(Innovation(spec), lossy).value.max() < 1.2 * read(Innovation(spec), whole).value.max()
+    assert fit([[lossy]]).k0 == pytest.approx(spec.k0, rel=0.1)
 
 
 def test_one_rough_row_more_makes_no_leap() -> None:

@@ -40,6 +40,9 @@ def drift(angle: FloatArray, rate: FloatArray, force: FloatArray) -> Statistic:
 def test_sensors_that_agree_are_silent_however_the_vehicle_turns(yaw_rate: float) -> None:
     angle = attitude(yaw_rate)
     assert drift(angle, body_rates(angle), level_force(angle)).value.max() < 1.0
+    angle[:, 2] += 2.0 * np.sin(DT_S * np.arange(N))  # to and fro, and the attitude comes 30 ms late
+    late = angle[np.maximum(np.arange(N) - 3, 0)]
+    assert drift(late, body_rates(angle), level_force(late)).value.max() < SensorDrift.least
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
