@@ -17,7 +17,8 @@ less the lag times what v rises by from end to end of the tick, over its length.
 ticks by least squares with a prior, and to the means of flights, between which other days lie; P is its covariance.
 Manoeuvres repeat, so what is no larger than SCATTER may go with one of x in all ticks: flights in which x varies tell
 what wind makes of it, and calm ones leave it open. Where a command changes swiftly the law is poor, so the means, a and
-x0 too, are weighted by 1/(1 + (dv/dt/SWIFT)^2).
+x0 too, are weighted by 1/(1 + (s/SWIFT)^2): s is dv/dt and, for what rises and falls within the tick, the mean slope of
+a parabola, 3 (v - (v_first + v_last)/2)/T, together.
 
 An ESC tells the speed against the frame: at a yaw rate r more by s_j c r, s_j = 1 of rotors that turn against it. c is
 2 e/(1 + e) of a motor by its voltage, 0.3, and 1 of one by its torque. In the emulator it is 1.1 for another reason:
@@ -61,9 +62,10 @@ FLOOR = 2e-4  # of the speed: least scatter that is believed, a seventh of a ste
 COLUMNS = 2  # of x
 # Places in the parameters: rotors, rows of a tick, row period, ticks of a window, spread, b, P; of each rotor a, x0, s.
 # And in the memory: rows of the tick, known ones, usable ticks in a row, ticks so far; sums of the tick: of each rotor
-# u, u at its first end and at its last, w; r; of the window's ticks each rotor's residual, and how far x is from x0.
+# u, u at its first end and at its last, w; r; of the window's ticks each rotor's residual, how far x is from x0, and s.
 ROTORS, ROWS, DT, WINDOW, SPREAD, LAWS, ERRORS, EACH = 0, 1, 2, 3, 4, 5, 7, 11
-OF_ROTOR, EACH_OF = 1 + COLUMNS, 2 + COLUMNS
+PULSE = 3.0  # mean slope of a parabola that begins and ends at 0, times its length, over its mean
+OF_ROTOR, EACH_OF = 2 + COLUMNS, 2 + COLUMNS  # of a tick y, x and s
 ROW, KNOWN, RUN, TICKS, SUMS = range(5)
 END = 10  # so many times as long as an end of a tick is the whole (our choice)
 TOLD = 3  # of a tick behind y and x of each rotor: mean ln w/u, whether it is usable, its number in the segment
@@ -127,16 +129,17 @@ def _take_row(par: Floats, mem: Floats, x: Floats, i: int) -> bool:
 
 @jit
 def _find(par: Floats, mem: Floats, out: Floats) -> None:
-    """y and x of each rotor from the sums of a whole tick, (n, OF_ROTOR); then mean ln w/u."""
+    """y, x and s of each rotor from the sums of a whole tick, (n, OF_ROTOR); then mean ln w/u."""
     n, rows, speed = int(par[ROTORS]), int(par[ROWS]), 0.0
     span_s = (rows - _end(par)) * par[DT]  # between the middles of the ends
     for j in range(n):
         to = OF_ROTOR * j
         out[to], out[to + 1] = math.log(mem[SUMS + 3 * n + j] / rows), math.log(mem[SUMS + j] / rows)
-        out[to + 2] = math.log(mem[SUMS + 2 * n + j] / mem[SUMS + n + j]) / span_s
+        first, last = math.log(mem[SUMS + n + j] / _end(par)), math.log(mem[SUMS + 2 * n + j] / _end(par))
+        out[to + 2], out[to + 3] = (last - first) / span_s, PULSE * (out[to + 1] - (first + last) / 2) / span_s
         speed += mem[SUMS + 3 * n + j] / n
     for j in range(n):
-        out[OF_ROTOR * j] -= TURN * par[EACH + EACH_OF * j + OF_ROTOR] * mem[SUMS + 4 * n] / speed
+        out[OF_ROTOR * j] -= TURN * par[EACH + EACH_OF * j + 1 + COLUMNS] * mem[SUMS + 4 * n] / speed
     for p in range(OF_ROTOR):  # against the others
         mean = 0.0
         for j in range(n):
@@ -145,6 +148,8 @@ def _find(par: Floats, mem: Floats, out: Floats) -> None:
             out[OF_ROTOR * j + p] -= mean
         if p < 2:
             out[OF_ROTOR * n] += mean if p == 0 else -mean
+    for j in range(n):
+        out[OF_ROTOR * j + 3] = math.hypot(out[OF_ROTOR * j + 2], out[OF_ROTOR * j + 3])
 
 
 @jit
@@ -175,8 +180,10 @@ def _take_tick(
             to, away[p] = of + (1 + p) * window, 0.0
             mem[to + place] = tick[OF_ROTOR * j + 1 + p] - par[own + 1 + p]
             mem[of + place] -= par[LAWS + p] * mem[to + place]
+        swift = of + (1 + COLUMNS) * window
+        mem[swift + place] = tick[OF_ROTOR * j + 1 + COLUMNS]
         for i in range(window):
-            weights[i] = 1.0 / (1.0 + ((mem[of + COLUMNS * window + i] + par[own + COLUMNS]) / SWIFT) ** 2)
+            weights[i] = 1.0 / (1.0 + (mem[swift + i] / SWIFT) ** 2)
             total += weights[i]
             for p in range(COLUMNS):
                 away[p] += weights[i] * mem[of + (1 + p) * window + i]
@@ -284,7 +291,7 @@ class RotorSpeed(Monitor[RotorSpeedSpec]):
         seen = [usable for flight in ticks if len(usable := _usable(flight, n))]
         means = np.array([_mean(flight) for flight in seen])
         days, apart = means - means.mean(axis=0), np.concatenate([one - one.mean(axis=0) for one in seen])
-        (y, *x), (dy, *dx) = apart.reshape(-1, OF_ROTOR).T, days.reshape(-1, OF_ROTOR).T
+        (y, *x), (dy, *dx) = (one.reshape(-1, OF_ROTOR)[:, : 1 + COLUMNS].T for one in (apart, days))
         known = held_law(dy, np.column_stack(dx), LAW, np.diag(LAW_SD**2), APART, 1)
         law, P = held_law(y, np.column_stack(x), *known, FLOOR, 1, SCATTER)
         still = replace(still, law=_pair(law), errors=(_pair(P[0]), _pair(P[1])))
@@ -304,13 +311,13 @@ class RotorSpeed(Monitor[RotorSpeedSpec]):
     def extended(self, flights: Flights, count: int) -> tuple[RotorSpeedSpec, float]:
         """With the means over all flights; no distance that is not damped grows by more than they are off the law."""
         n, means = self.rotors, self._means(flights)
-        old = np.column_stack((self.spec.mean, self.spec.about))
+        old, means = np.column_stack((self.spec.mean, self.spec.about)), means[:, :, : 1 + COLUMNS]
         moved = (means - old).sum(axis=0) / (count + len(means))
         apart = np.abs(moved[:, 0] - moved[:, 1:] @ self.spec.law).max()
         return _at(self.spec, old + moved), float(apart) * n / (n - 1)
 
     def _means(self, flights: Flights) -> FloatArray:
-        """Mean y and x of the flights that show them, (k, n, OF_ROTOR). Raises IdentificationError if none does."""
+        """Mean y, x and s of the flights that show them, (k, n, OF_ROTOR). Raises IdentificationError if none does."""
         ticks = (_usable(_ticks(self, one), self.rotors) for one in flights)
         means = [_mean(one) for one in ticks if len(one)]
         if not means:
@@ -331,12 +338,12 @@ class RotorSpeed(Monitor[RotorSpeedSpec]):
 
 def _at(spec: RotorSpeedSpec, means: FloatArray) -> RotorSpeedSpec:
     """The fit with these mean y and x of each rotor, (n, OF_ROTOR)."""
-    return replace(spec, mean=tuple(means[:, 0].tolist()), about=tuple(map(_pair, means[:, 1:])))
+    return replace(spec, mean=tuple(means[:, 0].tolist()), about=tuple(map(_pair, means[:, 1 : 1 + COLUMNS])))
 
 
 def _mean(ticks: FloatArray) -> FloatArray:
-    """Weighted mean y and x of each rotor, (n, OF_ROTOR)."""
-    weights = 1.0 / (1.0 + np.square(ticks[:, :, COLUMNS:] / SWIFT))
+    """Weighted mean y, x and s of each rotor, (n, OF_ROTOR)."""
+    weights = 1.0 / (1.0 + np.square(ticks[:, :, 1 + COLUMNS :] / SWIFT))
     return np.asarray((weights * ticks).sum(axis=0) / weights.sum(axis=0))
 
 
@@ -355,5 +362,5 @@ def _ticks(monitor: RotorSpeed, flight: Sequence[Rows]) -> FloatArray:
 
 
 def _usable(ticks: FloatArray, n: int) -> FloatArray:
-    """y and x of each of n rotors in the usable ticks, (k, n, OF_ROTOR)."""
+    """y, x and s of each of n rotors in the usable ticks, (k, n, OF_ROTOR)."""
     return ticks[ticks[:, -2] > 0.5, :-TOLD].reshape(-1, n, OF_ROTOR)

@@ -244,9 +244,10 @@ def _follow(memory: Any, how: Any, t_ns: IntArray, place: Any, told: BoolArray, 
             if not (now[RESUMES] or len(told) == 0 or told[i]):
                 continue
             took = i
-            now[BLANK_NS] = now[SETTLED_NS] = t
-            if not now[RESUMES]:
-                now[BLANK_NS] += trim_ns
+            if now[RESUMES]:  # within a take-off that goes on, or after it
+                now[BLANK_NS], now[SETTLED_NS] = max(now[BLANK_NS], t), max(now[SETTLED_NS], t)
+            else:
+                now[BLANK_NS] = t + trim_ns
                 now[SETTLED_NS] = max(now[SOURCE_NS] + START_NS, now[BLANK_NS])
                 carried[:] = 0.0
             now[AIRBORNE], now[RESUMES], now[SPAN] = 1, 0, now[SPAN] + 1

@@ -68,6 +68,12 @@ def test_the_farther_commands_are_from_those_learnt_the_less_a_speed_says(health
     assert last(healthy, flight)[2].argmax() == 3  # it says less of how much, not of which rotor
 
 
+def test_a_command_that_rises_and_falls_within_a_tick_says_less(healthy: RotorSpeedSpec) -> None:
+    (rows,), t = rows_of(8, np.array([1.0, 1.02, 0.99, 1.01]), 1500, wander=0.0), 0.01 * np.arange(1500)
+    rows.block.actuator[:, 0] *= 1.0 + 0.05 * np.sin(2 * np.pi * t) ** 2 * (t % 1.0 < 0.5)  # its rotor does not follow
+    assert last(healthy, [rows])[0] < 0.002
+
+
 def test_the_voltage_and_what_all_rotors_share_cancel(healthy: RotorSpeedSpec) -> None:
     own = np.array([1.0, 1.02, 0.99, 1.01])
     assert last(healthy, rows_of(5, 0.8 * own))[0] == pytest.approx(last(healthy, rows_of(5, own))[0], abs=1e-12)
