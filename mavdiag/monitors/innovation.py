@@ -13,15 +13,7 @@ from mavdiag.errors import IdentificationError
 from mavdiag.identify.arx import triangle
 from mavdiag.jit import allocating, cached
 from mavdiag.monitors.base import Begin, Flights, LearnContext, Monitor, segments
-from mavdiag.monitors.fitting import (
-    MEMORY_S,
-    cut_to_share,
-    need_commanded,
-    of_each,
-    smoothed,
-    three,
-    variance_law,
-)
+from mavdiag.monitors.fitting import MEMORY_S, cut_to_share, need_commanded, of_each, smoothed, three, variance_law
 from mavdiag.monitors.spec import Delay, NotNegative, Positive, spec
 from mavdiag.rows.block import COMMANDED, GYRO, LEVEL, SOUND, VALUE, Floats, Ints, U
 from mavdiag.rows.conditions import Condition
