@@ -122,7 +122,7 @@ class ArxModel:
         newest = (np.zeros(0) if past is None else past[::-1][: self.lag] for past in (past_u, past_y))
         b, a, u0, y0 = (np.pad(one, (0, self.lag + 1 - len(one))) for one in (self.b, self.a, *newest))
         begun = [b[k:] @ u0[: len(b) - k] - a[k:] @ y0[: len(a) - k] for k in range(1, len(b))]
-        y: FloatArray = filtered(b, a, np.array(u, dtype=np.float64, ndmin=2), np.array([*begun, 0.0]))[0]
+        y: FloatArray = filtered(b, a, np.array(u, dtype=np.float64)[:, None], np.array([[*begun, 0.0]]).T)[:, 0]
         return y
 
     def predict(self, u: FloatArray, y: FloatArray) -> FloatArray:
@@ -191,13 +191,13 @@ class ModelRecord:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Segment:
-    """An unbroken piece of flight: u and y on the same uniform grid, (n,) each, or (m, n) of m pieces of one length."""
+    """An unbroken piece of flight: u and y on the same uniform grid, (n,) each."""
 
     u: FloatArray
     y: FloatArray
 
     def __len__(self) -> int:
-        return int(self.y.shape[-1])
+        return len(self.y)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -254,36 +254,34 @@ def reach(order: Order) -> int:
 
 
 def lagged(x: FloatArray, first_lag: int, count: int, first_row: int) -> FloatArray:
-    """x(t - first_lag) .. x(t - first_lag - count + 1) for t = first_row .. n - 1: (..., n) -> (count, ..., rows)."""
-    n = x.shape[-1]
-    return np.stack([x[..., first_row - lag : n - lag] for lag in range(first_lag, first_lag + count)])
+    """x(t - first_lag) .. x(t - first_lag - count + 1) for t = first_row .. n - 1: (n, ...) -> (count, rows, ...)."""
+    return np.stack([x[first_row - lag : len(x) - lag] for lag in range(first_lag, first_lag + count)])
 
 
 def regressors(segment: Segment, order: Order) -> tuple[FloatArray, FloatArray]:
-    """Phi' (na + nb, ..., rows) and target (..., rows) of a segment, from t = `reach(order)` on."""
+    """Phi' (na + nb, rows) and target (rows,) of a segment, from t = `reach(order)` on."""
     na, nb, nk = order
     first = reach(order)
     # y(t) = [ -y(t-1) ... -y(t-na)  u(t-nk) ... u(t-nk-nb+1) ] @ [ a_1 .. a_na  b_nk .. b_{nk+nb-1} ]'
     Phi = np.concatenate((-lagged(segment.y, 1, na, first), lagged(segment.u, nk, nb, first)))
-    return Phi, segment.y[..., first:]
+    return Phi, segment.y[first:]
 
 
 @cached
 def filtered(b: FloatArray, a: FloatArray, x: FloatArray, begun: FloatArray) -> FloatArray:
-    """y of A y = B x, (m, n) -> (m, n), in the transposed direct form; b, a: (k,) with a[0] = 1.
+    """y of A y = B x, (n, m) -> (n, m), in the transposed direct form; b, a: (k,) with a[0] = 1.
 
-    begun: (k,) the state that each row begins with, the last one 0. scipy.signal has the same and takes 1.5 s to load.
+    begun: (k, m) states that the columns begin with, the last one 0. scipy.signal has the same; to load it takes 1.5 s.
     """
-    y, states = np.empty_like(x), np.empty((len(x), len(begun)))
-    for row in range(len(x)):
-        states[row] = begun  # all at once compiles for 5 s
-    for t in range(x.shape[1]):
-        for row in range(len(x)):  # none of them waits for another
-            state, now = states[row], x[row, t]
-            out = b[0] * now + state[0]
-            for k in range(1, len(b)):
-                state[k - 1] = b[k] * now - a[k] * out + state[k]
-            y[row, t] = out
+    y, states = np.empty_like(x), begun.copy()
+    for t in range(len(x)):
+        now, out = x[t], y[t]
+        for j in range(x.shape[1]):  # none of them waits for another
+            out[j] = b[0] * now[j] + states[0, j]
+        for k in range(1, len(b)):
+            state, after, gain, share = states[k - 1], states[k], b[k], a[k]
+            for j in range(x.shape[1]):
+                state[j] = gain * now[j] - share * out[j] + after[j]
     return y
 
 

@@ -46,7 +46,7 @@ def sriv(segments: Sequence[Segment], order: Order, figures: bool = True, near: 
     What does not settle is finished by Gauss-Newton steps. covariance: nan without `figures`.
     """
     groups = [[one for one in segments if len(one) == n] for n in dict.fromkeys(map(len, segments))]
-    data = [Segment(np.stack([one.u for one in group]), np.stack([one.y for one in group])) for group in groups]
+    data = [np.stack([*(one.u for one in group), *(one.y for one in group)], axis=1) for group in groups]
     settled = False
     if near is not None:
         with suppress(IdentificationError):
@@ -91,24 +91,24 @@ class _Point:
         return bool(np.all(np.abs(target - self.theta) <= tolerance))
 
 
-def _evaluate(data: Sequence[Segment], order: Order, theta: FloatArray) -> _Point:
+def _evaluate(data: Sequence[FloatArray], order: Order, theta: FloatArray) -> _Point:
     """Solve Z_f' Phi_f refined = Z_f' y_f with filter and instruments from theta.
 
     y_f - Phi_f theta is the output error e and -Z_f its gradient: (Z_f' Z_f)^-1 Z_f' e is the Gauss-Newton step.
     """
-    n, d = sum(len(group.y) * (len(group) - reach(order)) for group in data), len(theta)
+    n, d = sum(group.shape[1] * (len(group) - reach(order)) for group in data) // 2, len(theta)
     R = np.concatenate([_reduced(_filtered(group, order, theta), order[0]) for group in data])
     Z, Phi, y = R[:, :d], R[:, d : 2 * d], R[:, -1]
     error = y - Phi @ theta
     refined, _ = solve(Z, Phi, y, n * EPSILON)
     move, inverse = solve(Z, Z, error, n * EPSILON)
     squares = float(error @ error)
-    freedom = max(1, n - d - sum(len(group.y) for group in data) * order[0])
+    freedom = max(1, n - d - sum(group.shape[1] for group in data) // 2 * order[0])
     errors = np.sqrt(np.diag(inverse) * squares / freedom)
     return _Point(theta, refined, theta + move, inverse, errors, squares / n, n)
 
 
-def _refine(data: Sequence[Segment], order: Order, point: _Point) -> tuple[_Point, int, bool]:
+def _refine(data: Sequence[FloatArray], order: Order, point: _Point) -> tuple[_Point, int, bool]:
     """SRIV proper, unstable poles reflected: the last or else best point, iterations, settled."""
     best, best_at, iteration = point, 0, 0
     while iteration < best_at + PATIENCE:
@@ -122,7 +122,7 @@ def _refine(data: Sequence[Segment], order: Order, point: _Point) -> tuple[_Poin
     return best, iteration, False
 
 
-def _descend(data: Sequence[Segment], order: Order, point: _Point) -> tuple[_Point, int, bool]:
+def _descend(data: Sequence[FloatArray], order: Order, point: _Point) -> tuple[_Point, int, bool]:
     """Gauss-Newton on the same equations: each step halved until the model is stable and better."""
     for iteration in range(MAX_DESCENT):
         if point.settled(point.descent, SETTLED):
@@ -139,19 +139,20 @@ def _descend(data: Sequence[Segment], order: Order, point: _Point) -> tuple[_Poi
     return point, iteration, point.settled(point.descent, NEARLY_SETTLED)
 
 
-def _filtered(group: Segment, order: Order, theta: FloatArray) -> FloatArray:
-    """Columns [Z_f -y_f(t-1) .. -y_f(t-na) y_f] of a group, (c, m, rows), their free responses taken out."""
-    (na, nb, nk), first, n = order, reach(order), len(group)
+def _filtered(group: FloatArray, order: Order, theta: FloatArray) -> FloatArray:
+    """Columns [Z_f -y_f(t-1) .. -y_f(t-na) y_f], (c, rows, m), of u and y of m pieces, (n, 2 m); free responses out."""
+    (na, nb, nk), first, (n, both) = order, reach(order), group.shape
     A, B = (np.pad(one, (0, first + 1 - len(one))) for one in polynomials(theta, order))
-    one, at_rest = np.eye(1, first + 1)[0], np.zeros(first + 1)
-    u_f, y_f, free = (filtered(one, A, signal, at_rest) for signal in (group.u, group.y, np.eye(na, n - first)))
-    x_f = filtered(B, A, u_f, at_rest)
+    one, at_rest, m = np.eye(1, first + 1)[0], np.zeros((first + 1, both)), both // 2
+    u_f, y_f = np.split(filtered(one, A, group, at_rest), 2, axis=1)
+    x_f = filtered(B, A, np.ascontiguousarray(u_f), at_rest[:, :m])
+    free = filtered(one, A, np.eye(n - first, na), np.zeros((first + 1, na)))
     lags, delays = range(1, na + 1), range(nk, nk + nb)
     lagged = [*((-x_f, lag) for lag in lags), *((u_f, lag) for lag in delays), *((-y_f, lag) for lag in lags), (y_f, 0)]
-    columns = np.stack([signal[:, first - lag : n - lag] for signal, lag in lagged])
-    lasts = 1 + int(np.flatnonzero(~(np.abs(free).max(axis=0) <= EPSILON**2))[-1])  # then it is less than any rounding
-    Q, _ = np.linalg.qr(free[:, :lasts].T)
-    columns[..., :lasts] -= columns[..., :lasts] @ Q @ Q.T
+    columns = np.stack([signal[first - lag : n - lag] for signal, lag in lagged])
+    lasts = 1 + int(np.flatnonzero(~(np.abs(free).max(axis=1) <= EPSILON**2))[-1])  # then it is less than any rounding
+    Q, _ = np.linalg.qr(free[:lasts])
+    columns[:, :lasts] -= Q @ (Q.T @ columns[:, :lasts])
     return columns
 
 
@@ -162,7 +163,7 @@ def _reduced(columns: FloatArray, na: int) -> FloatArray:
     return R[:, [*range(d), *range(d, d + na), *range(na, d), c - 1]]
 
 
-def _coloured(data: Sequence[Segment], order: Order, point: _Point) -> FloatArray:
+def _coloured(data: Sequence[FloatArray], order: Order, point: _Point) -> FloatArray:
     """cov theta = M S M, M = (Z_f' Z_f)^-1, S = sum_k r_e(k) sum_t z_f(t) z_f(t + k)', (na + nb, na + nb).
 
     (Soderstrom and Stoica, System Identification, ch. 8). r_e: autocovariance of the residual under a Bartlett window
@@ -171,7 +172,7 @@ def _coloured(data: Sequence[Segment], order: Order, point: _Point) -> FloatArra
     na, d, lags = order[0], len(point.theta), int(np.sqrt(point.rows))
     r_e, instruments = np.zeros(lags), []
     for group in data:
-        columns = _filtered(group, order, point.theta)
+        columns = _filtered(group, order, point.theta).transpose(0, 2, 1)
         e = columns[-1] - np.tensordot(point.theta, np.concatenate((columns[d : d + na], columns[na:d])), 1)
         size = 1 << (e.shape[1] + lags).bit_length()  # circular products of this length are those of zeros around
         products = np.fft.irfft(np.square(np.abs(np.fft.rfft(e, size))).sum(axis=0), size)[: min(lags, e.shape[1])]

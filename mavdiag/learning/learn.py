@@ -251,13 +251,11 @@ def _fit_all(
 
 def _scores(monitors: Sequence[Monitor[Any]], flight: Sequence[Rows], number: int) -> list[Scores]:
     """What each of several monitors reached in the flight of that number."""
-    values, periods_s = [[np.empty(0)] for _ in monitors], [0.0 for _ in monitors]
+    found = [[(np.empty(0), 0.0)] for _ in monitors]
     for statistics in judged_together(monitors, flight):
-        for i, statistic in enumerate(statistics):
-            values[i].append(statistic.value[statistic.valid])
-            periods_s[i] = statistic.period_s
-    columns = zip(values, periods_s, strict=True)
-    return [maxima(np.concatenate(parts), period_s, number) for parts, period_s in columns]
+        for parts, one in zip(found, statistics, strict=True):
+            parts.append((one.value[one.valid], one.period_s))
+    return [maxima(np.concatenate([values for values, _ in parts]), parts[-1][1], number) for parts in found]
 
 
 def _entries(fitted: Sequence[Fitted], options: LearnOptions, sessions: Sequence[int]) -> Iterator[MonitorEntry]:

@@ -7,6 +7,7 @@ import numpy as np
 
 from mavdiag.errors import InputError
 from mavdiag.identify.arx import filtered
+from mavdiag.jit import cached
 from mavdiag.monitors.base import Flights, Monitor, walk
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
@@ -43,11 +44,9 @@ def judged_together(monitors: Sequence[Monitor[Any]], flight: Sequence[Rows]) ->
 
 def smoothed(x: FloatArray, alpha: float, start: FloatArray | None = None) -> FloatArray:
     """The exponential mean of whole records, (n, k) -> (n, k), from `start`, (k,), or zeros: `rows.running.follow`."""
-    begun = np.zeros((x.shape[1], 2))
-    begun[:, 0] = 0.0 if start is None else (1.0 - alpha) * start
-    weights = np.array([alpha, 0.0]), np.array([1.0, alpha - 1.0])
-    each = zip(x.T, begun, strict=True)
-    return np.stack([filtered(*weights, np.array(column, ndmin=2), state)[0] for column, state in each], axis=1)
+    begun = np.zeros((2, x.shape[1]))
+    begun[0] = 0.0 if start is None else (1.0 - alpha) * start
+    return filtered(np.array([alpha, 0.0]), np.array([1.0, alpha - 1.0]), np.ascontiguousarray(x), begun)
 
 
 def three(values: Sequence[float] | FloatArray) -> Three:
@@ -96,22 +95,25 @@ def updated(
     return P @ (share @ (x.T @ y / noise) + trust @ prior), P
 
 
+@cached
 def variance_law(squares: FloatArray, busy: FloatArray) -> tuple[float, float]:
     """k0 and k1 >= 0 of var(r) = k0 + k1 busy, (n,) each, by maximum likelihood of Gaussian r.
 
     Fisher scoring: least squares of r^2, weighted by 1/var^2 of the law before. k0 is at least 5 % of mean(r^2). Of
     1,000 rows 3 more are believed at rest, with that mean, for flight at one rate does not tell k0 from k1.
     """
-    mean, size = float(squares.mean()), float(busy.mean())
+    mean, size, k1 = squares.mean(), busy.mean(), 0.0
     if size == 0.0:
-        return mean, 0.0
-    x, k0, k1, rest = busy / size, mean, 0.0, REST_SHARE * len(busy)
-    columns = np.stack((np.ones(len(x)), x, x * x, squares, x * squares))
+        return mean, k1
+    k0, rest = mean, REST_SHARE * len(busy)
     for _ in range(SCORINGS):
         # [ sum w    sum w x   ] [ k0 ]   [ sum w r^2   ]    x = busy/mean(busy). Two unknowns: if one is negative it is
         # [ sum w x  sum w x^2 ] [ k1 ] = [ sum w x r^2 ]    zero and the other is its own least-squares solution.
-        weight, first, second, plain, product = (columns @ np.square(1.0 / (k0 + k1 * x))).tolist()
-        weight, plain = weight + rest / k0**2, plain + rest * mean / k0**2
+        weight, first, second, plain, product = rest / k0**2, 0.0, 0.0, rest * mean / k0**2, 0.0
+        for i in range(len(busy)):
+            x, w = busy[i] / size, 1.0 / (k0 + k1 * busy[i] / size) ** 2
+            weight, first, second = weight + w, first + w * x, second + w * x * x
+            plain, product = plain + w * squares[i], product + w * x * squares[i]
         determinant = weight * second - first**2
         k1 = max(0.0, (weight * product - first * plain) / determinant) if determinant > RANK * weight * second else 0.0
         k0 = (plain - k1 * first) / weight

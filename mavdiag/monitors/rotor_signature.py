@@ -403,11 +403,12 @@ def _with_variances(motion: HealthyMotion, samples: Sequence[FloatArray]) -> Hea
     """The motion with the variances k0 and k1 of its residuals. Raises IdentificationError without a live sensor."""
     for follows in (False, True):  # how far the gain is followed depends on the variance at rest
         found = [residuals_of(motion, one, follows) for one in samples]
-        squares = np.concatenate([np.empty((0, 3)), *(np.square(one.r[one.valid]) for one in found)])
-        busy = np.concatenate([np.empty((0, 3)), *(one.busy[one.valid] for one in found)])
-        if not squares.any(axis=0).all():
+        none = np.empty((3, 0))
+        squares = np.concatenate([none, *(np.square(np.compress(one.valid, one.r.T, axis=1)) for one in found)], axis=1)
+        busy = np.concatenate([none, *(np.compress(one.valid, one.busy.T, axis=1) for one in found)], axis=1)
+        if not squares.any(axis=1).all():
             raise IdentificationError("no settled flight with a live gyro and accelerometer; fly longer than 3 s")
-        k = [variance_law(squares[:, axis], busy[:, axis]) for axis in range(3)]
+        k = [variance_law(*channel) for channel in zip(squares, busy, strict=True)]
         motion = replace(motion, k0=three([k0 for k0, _ in k]), k1=three([k1 for _, k1 in k]))
     return motion
 
@@ -454,7 +455,6 @@ def _heave(pieces: Sequence[FloatArray], period_s: float, context: LearnContext)
     moved = [heave - smoothed(heave, alpha, heave[0]) for heave in heaves]
     y, u = ([one[:, column] for one in moved] for column in (0, 1))
     try:
-        found = identify(u, y, HEAVE_ORDER, dt=period_s, method=Method.LS, figures=context.figures)
-        return ModelRecord.of(found)
+        return ModelRecord.of(identify(u, y, HEAVE_ORDER, dt=period_s, method=Method.LS, figures=context.figures))
     except IdentificationError:
         return ModelRecord(a=(1.0, 0.0), b=(0.0,), dt_s=period_s, order=(1, 1, 0), method=Method.LS)

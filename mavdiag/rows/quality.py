@@ -575,7 +575,7 @@ def learnt_quality(flights: Iterable[tuple[Telemetry, Sequence[tuple[int, int]]]
         if signal is Signal.ATTITUDE_SETPOINT:
             longest[0] = np.quantile(np.concatenate([runs for _, runs in watched]), STILL_SHARE, method="higher")
         if signal is Signal.BODY_RATE:
-            jitter = max(_jitter(part.t_ns, habit.period_s) for part in parts)
+            jitter = max(_jitter(one.t_ns, habit.period_s, forgetting(JITTER_S, habit.period_s)) for one in parts)
             steps = [float(seen[-1]) for seen, _ in watched]
         still = longest.astype(int).tolist()
         habits.append(habit.model_copy(update={"still": tuple(still if signal in SENSORS else still[:1])}))
@@ -608,12 +608,15 @@ def _watched(habit: Habit, series: Series) -> tuple[FloatArray, IntArray]:
     return seen, runs[: memory.counts[TRACED]]
 
 
-def _jitter(t_ns: IntArray, period_s: float) -> float:
-    from scipy.signal import lfilter
-
-    steps, share = np.diff(t_ns) / (period_s * NS_PER_S), forgetting(JITTER_S, period_s)
-    apart = np.where(steps < MISSING, steps - np.round(steps), 0.0)
-    return math.sqrt(np.max(lfilter([share], [1.0, share - 1.0], apart * apart)))
+@cached_loop
+def _jitter(t_ns: IntArray, period_s: float, share: float) -> float:
+    """Highest rms of how far steps are off whole periods, over the memory of that share [periods]."""
+    mean = most = 0.0
+    for i in range(1, len(t_ns)):
+        steps = (t_ns[i] - t_ns[i - 1]) / (period_s * NS_PER_S)
+        mean += share * ((steps - np.round(steps) if steps < MISSING else 0.0) ** 2 - mean)
+        most = max(most, mean)
+    return math.sqrt(most)
 
 
 def _moved(signal: Signal, parts: Sequence[Series]) -> Habit:
