@@ -205,9 +205,9 @@ def fly(
             nonlocal armed, called_s
             last[:] = [samples]
             armed = armed or bool(samples.motors[-1])
-            if any("-> asked" in line for line in bench.host.lines[-20:]):
-                station.done = len(station.plan)  # who flies it lets it go
             announced = any("on fault" in line and "-> announced" in line for line in bench.host.lines[-20:])
+            if announced:
+                station.done = len(station.plan)  # who flies it lets it go
             if call is not None and announced and called_s == math.inf:
                 called_s = flight.t_s + 2.0
                 if call == "stick":  # where it is before it is moved
