@@ -60,6 +60,7 @@ FIRST = np.array([col.PLACES[signal][0] for signal in STREAMS])  # row of x that
 SETTLE_GAP_S, SETTLE_START_S = 0.3, 1.0  # what is not used after a longer gap, and after a start or a break
 BREAK_S = 1.0  # longest gap within a segment; how long a row waits for a set-point
 NEVER_NS = 2**62
+TWICE = -1e-9  # in place of a doubt about a sample of the gyro: another one had the same time
 ORDER_NS = 5 * NS_PER_MS  # our choice
 CALM_NS = 10 * NS_PER_S  # after a late sample, until the link counts as orderly again (our choice)
 BEGIN_NS = NS_PER_S  # after the first gyro sample, likewise; nothing is judged so early (our choice)
@@ -344,7 +345,9 @@ def _move(s: Streams, place: int, first: int, stop: int, to: int) -> None:
 
 @jit
 def _merge(s: Streams, place: int, count: int, gyro: IntArray, gyro_ns: int, steps: IntArray) -> bool:
-    """Sort in the samples that came; whether one is late. Of equal times the first counts, of held values the last.
+    """Sort in the samples that came; whether one is late. Of equal times the last to come counts.
+
+    Where the gyro's were two samples, it is not known whose time that is: the row counts as made up.
 
     gyro: (2, m) times of vehicle and receiver of what the gyro brings, after gyro_ns. steps: room; none in a log, where
     nothing asks for the usual step.
@@ -374,7 +377,9 @@ def _merge(s: Streams, place: int, count: int, gyro: IntArray, gyro_ns: int, ste
             at -= 1
         hi += 1
         if at > lo and t[at - 1] == at_ns:
-            at += place < THRUST
+            for row in range(3 if place == GYRO else 0):
+                if s.values[row, at] != s.values[row, at - 1] and s.values[3, at] == 0.0:
+                    s.values[3, at] = TWICE
             _move(s, place, at, hi, at - 1)
             hi -= 1
     marks[HI], marks[NEWEST] = hi, newest
@@ -505,7 +510,8 @@ def _rows(s: Streams, until_ns: int, dt_ns: float, resampled: bool, before: int)
     for row in range(0 if resampled else count):
         while t[first] < rows[row]:
             first += 1
-        x[col.VALID, before + row] *= col.MADE_UP if t[first] > rows[row] else 1.0
+        if t[first] > rows[row] and x[col.VALID, before + row] > 0.0:
+            x[col.VALID, before + row] = col.MADE_UP
     return rows[:count], x, stop < hi and t[stop] <= until_ns
 
 
@@ -626,6 +632,8 @@ def _mark_usable(s: Streams, place: int, rows: IntArray, gap: int, x: FloatArray
             settle = s.limits_ns[SETTLE_START] if long_ns > s.limits_ns[BREAK] else s.limits_ns[SETTLE_GAP]
             blank_ns = max(blank_ns, rows[i] + settle)
         to[i] = 1.0 if rows[i] > blank_ns else 0.0
+        if place == GYRO and doubt[i] < 0.0:
+            to[i], doubt[i] = col.MADE_UP * to[i], 0.0
         if doubted:
             doubt[i] = math.ceil(doubt[i])
     s.now[BLANK + place] = blank_ns

@@ -19,7 +19,7 @@ from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal
 # flight is one that trims were learnt in, which the pass says; the gyro was valid in the whole window of a rate; so
 # was the set-point.
 VALID, SETPOINT, DOUBT, COVERED, WHOLE, COMMANDED = range(6)
-MADE_UP = 0.75  # in VALID where the gyro may be judged, but its own sample is missing: it was interpolated
+MADE_UP = 0.75  # in VALID where the gyro may be judged, but its own sample is missing or one of two: it is made up
 # Signals: three rows each, but for thrust, height and armed. LEAN: the commanded roll and pitch, before the commanded
 # HEADING. Y: the gyro, smoothed; GYRO: as it was measured; U: the commanded body rate. Outputs and, behind `MOST` of
 # them, the speeds of rotors are the last rows, where there are any.

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from mavdiag.errors import InputError
 from mavdiag.rows.align import GYRO, AlignSpec, Grid, measure_grid
-from mavdiag.rows.block import Block
+from mavdiag.rows.block import MADE_UP, VALID, Block
 from mavdiag.rows.gate import Border, GateSpec
 from mavdiag.rows.rates import RateSpec
 from mavdiag.rows.savgol import window_samples
@@ -205,11 +205,12 @@ def test_a_sample_that_is_no_number_is_a_lost_sample_and_what_comes_late_or_twic
     np.testing.assert_allclose(column(blocks, "rate"), ramp(t), atol=1e-9)
     order = np.arange(3000)
     order[[300, 301]] = order[[301, 300]]  # a swap within the wait is repaired
-    order = np.append(np.insert(order, 500, 499), 1000)  # a duplicate; a sample that is seconds late
+    order = np.append(np.insert(order, 1800, 1799), 1000)  # a duplicate; a sample that is seconds late
     gyro = series(Signal.BODY_RATE, t[order], ramp(t[order]))
-    gyro.values[500] += 0.1  # it is another sample, with the stamp of the one before it
+    gyro.values[1799] += 0.1  # the other one is another sample
     rows = whole(Telemetry((gyro, linear_flight(t, t).series[1])))
     assert np.array_equal(column(rows, "t_ns"), t)
+    assert np.flatnonzero(np.concatenate([block.x[VALID] for block in rows]) == MADE_UP).tolist() == [1799]
     np.testing.assert_allclose(column(rows, "rate"), ramp(t), atol=1e-9)
 
 
