@@ -36,11 +36,11 @@ GLITCH_ROWS = 3 + LAG  # whose innovations three bad samples spoil
 # (our choice).
 LIMIT, MOST = 6.0, 1e6
 STILL_ROWS = 3  # equal ones after another say nothing new, be they rounded or repeated (our choice)
-# Places in the parameters: of how many rows ago rates are, of each axis mean, k0, k1, a and b; and in the memory: good
-# rows and equal rows in a row, the mean square of each axis's command, its mean error, and the mean of the innovations.
+# Places in the parameters: of how many rows ago rates are, of each axis mean, k0, k1, a and b; in the memory: good,
+# equal, measured and idle rows in a row, of each axis mean square of the command and mean error; mean of innovations.
 WINDOW, ALPHA, SLOW, BEHIND, AXES = range(5)
 MEAN_AT, K0, K1, A, B, OF_AXIS = 0, 1, 2, 3, 3 + LAG, 3 + 2 * LAG
-GOOD, SAME, BUSY, DRIFT, MEAN = 0, 1, 2, 5, 8
+GOOD, SAME, MEASURED, IDLE, BUSY, DRIFT, MEAN = 0, 1, 2, 3, 4, 7, 10
 
 Four: TypeAlias = tuple[float, float, float, float]
 
@@ -98,15 +98,14 @@ def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats
         mem[SAME] = mem[SAME] + 1.0 if same else 0.0
         good = x[COMMANDED, i] > 0.5 and math.isfinite(sum_) and mem[SAME] < STILL_ROWS
         mem[GOOD] = mem[GOOD] + 1.0 if good else 0.0
+        mem[MEASURED] = mem[MEASURED] + 1.0 if x[VALID, i - behind] != MADE_UP else 0.0
         sound = mem[GOOD] > LAG
         if sound:  # the last second of *measured* rows: a gap within a segment does not start the window anew
-            measured = True
-            for j in range(i - behind - LAG, i - behind + 1):
-                measured = measured and x[VALID, j] != MADE_UP
-            if measured:
+            mem[IDLE] = 0.0 if mem[MEASURED] > LAG else mem[IDLE] + 1.0
+            if mem[IDLE] == 0.0:
                 mem[row], mem[row + 1], mem[row + 2] = usual, most - usual, 1.0 if most > usual else 0.0
                 push(mem, MEAN, window, 3, True)
-            sound = mem[MEAN + 1] >= window
+            sound = mem[MEAN + 1] >= window > mem[IDLE]
             rough = total(mem, MEAN, 3, 2)
             share = 1.0 - GLITCH_ROWS / rough if rough > GLITCH_ROWS + 0.5 else 0.0
             sum_ = total(mem, MEAN, 3, 0) + share * total(mem, MEAN, 3, 1)
@@ -129,8 +128,8 @@ class Innovation(Monitor[InnovationSpec]):
     12 % of a rotor's frequency: a folded line moves with a load, so that 15 % of payload at 100 Hz made 1.6 of 1.
 
     Warm-up: half an SG window, 4 rows and 1 s; after a gap of less than a second only the first two. Latency: half an
-    SG window and up to 1 s. False alarms: aerobatics and storms that the healthy flights lacked. Blind spots: a
-    weak rotor that is trimmed away (AUC 0.66 on 57 recorded propeller cuts); anything slow.
+    SG window and up to 1 s. False alarms: aerobatics and storms that the healthy flights lacked. Blind spots: a weak
+    rotor that is trimmed away (AUC 0.66 on 57 recorded propeller cuts); anything slow; a loss of each fifth row.
     """
 
     name = "innovation"
@@ -205,7 +204,7 @@ class Innovation(Monitor[InnovationSpec]):
         axes = zip(spec.mean, spec.k0, spec.k1, spec.a, spec.b, strict=True)
         each = [value for mean, k0, k1, a, b in axes for value in (mean, k0, k1, *a, *b)]
         par = np.array([window, forgetting(spec.memory_s, dt_s), forgetting(spec.slow_s, dt_s), behind, *each])
-        return Begin(par, np.zeros(MEAN + mean_size(window, 3)), LAG + behind)
+        return Begin(par, np.zeros(MEAN + mean_size(window, 3)), max(LAG, behind))
 
 
 class _Pairs(NamedTuple):

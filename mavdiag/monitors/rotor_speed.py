@@ -68,7 +68,7 @@ PULSE = 3.0  # mean slope of a parabola that begins and ends at 0, times its len
 OF_ROTOR, EACH_OF = 2 + COLUMNS, 2 + COLUMNS  # of a tick y, x and s
 ROW, KNOWN, RUN, TICKS, SUMS = range(5)
 END = 10  # so many times as long as an end of a tick is the whole (our choice)
-TOLD = 3  # of a tick behind y and x of each rotor: mean ln w/u, whether it is usable, its number in the segment
+TOLD = 3  # of a tick behind y, x and s of each rotor: mean ln w/u, whether it is usable, its number in the segment
 
 
 Pair: TypeAlias = tuple[float, float]

@@ -115,7 +115,7 @@ def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats
 class TrimStep(trim.TrimMonitor[TrimStepSpec]):
     """Statistic: the rise of ONE rotor's command against the same flight before [fraction of hover].
 
-        m: trim averaged over 5 s, 0.5 s before o that answers a load later,    a_j: rise of rotor j for m - m_ref
+        m: trim averaged over 5 s, 0.5 s older than o, for o answers a load later,    a_j: rise of rotor j for m - m_ref
         statistic = the larger of: a_j of the rotor with the largest a_j |c_j|; max_j b_j
         b_j = max(0, min(g_j, n l) - 3 s_j)/(1 - 3 s_j/(n l)),    n: rotors,    l = ln(o/o_ref),    s_j: sd of g_j
         g_j = (c_j . d - |c_j x d|)/|c_j|^2 of roll and pitch alone,    d = m - m_ref
@@ -133,7 +133,7 @@ class TrimStep(trim.TrimMonitor[TrimStepSpec]):
     the statistic. `rotors` are the a_j by the spreads as they are: a session's load is in m and m_ref alike; but
     drag may change apart from thrust, by as much (sd), so that a blade with more of it names no other rotor.
 
-    Warm-up: 10 s of unbroken valid flight as the envelope covers it. Latency: up to 5 s. False alarms: a load that is
+    Warm-up: 10 s of unbroken valid flight as the envelope covers it. Latency: up to 5.5 s. False alarms: a load that is
     hung under one rotor, or slips. Blind spots: damage that was there at take-off (the rotor-trim monitor sees it) or
     grows slowly, what yaw does not show for minutes after a heavy load came or went, and hops shorter than 10 s.
     """
