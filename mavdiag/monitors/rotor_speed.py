@@ -154,16 +154,16 @@ def _find(par: Floats, mem: Floats, out: Floats) -> None:
 
 @jit
 def _weighed(values: Floats, weights: Floats) -> tuple[float, float]:
-    """Weighted mean of values but for the least and the largest, as a wild ESC frame spoils one; and its variance."""
-    least, most, mean, total, square = values.argmin(), values.argmax(), 0.0, 0.0, 0.0
+    """Weighted mean of values but for the least and the largest, as a wild ESC frame spoils one; its unbiased variance."""
+    least, most, mean, total, square, own = values.argmin(), values.argmax(), 0.0, 0.0, 0.0, 0.0
     for again in range(2):
         for i in range(len(values)):
             if i not in (least, most):
                 if again == 0:
-                    mean, total = mean + weights[i] * values[i], total + weights[i]
+                    mean, total, own = mean + weights[i] * values[i], total + weights[i], own + weights[i] ** 2
                 else:
                     square += weights[i] * (values[i] - mean / total) ** 2
-    return mean / total, square / total**2
+    return mean / total, square / (total**2 - own)
 
 
 @jit
