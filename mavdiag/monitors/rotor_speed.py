@@ -154,7 +154,7 @@ def _find(par: Floats, mem: Floats, out: Floats) -> None:
 
 @jit
 def _weighed(values: Floats, weights: Floats) -> tuple[float, float]:
-    """Weighted mean of values but for the least and the largest, as a wild ESC frame spoils one; its unbiased variance."""
+    """Weighted mean of values, unbiased variance; without the least and the largest, as a wild ESC frame spoils one."""
     least, most, mean, total, square, own = values.argmin(), values.argmax(), 0.0, 0.0, 0.0, 0.0
     for again in range(2):
         for i in range(len(values)):
