@@ -4,12 +4,12 @@
     a_j = c_j' W m / (c_j' W c_j),    W = diag(1/sd^2)
     x = e (1 + 4 x/n),    a = x/(1 + x/n),    so e = a/(1 + 3 a/n)
 
-o: motor outputs 0..1; or w = B m from torque commands over thrust (a Crazyflie logs no outputs). Thrust goes as w + 0.4
-w^2, but for its scale: without the square a load that hangs off both axes shows as yaw. a_j: least-squares rise of
-rotor j alone that explains a shift m, c_j its column of C. e: share of its thrust and drag that a rotor lost which is
-commanded the share a more: autopilots linearise. The mixer adds thrust, roll, pitch and yaw only, so it makes up for x
-by x P e_j, P the projection onto these, P_jj = 4/n of n equal rotors. Losses of 5, 10 and 20 % in ArduCopter's
-simulator come out within 0.01. Where outputs go with the speed, the loss is nearly twice as much.
+o: motor outputs 0..1; or m itself from torque commands over thrust (a Crazyflie logs no outputs). Thrust goes as w +
+0.4 w^2 (`curve_of`), but for its scale: without the square a load that hangs off both axes shows as yaw. a_j: least-
+squares rise of rotor j alone that explains a shift m, c_j its column of C. e: share of its thrust and drag that a rotor
+lost which is commanded the share a more: autopilots linearise. The mixer adds thrust, roll, pitch and yaw only, so it
+makes up for x by x P e_j, P the projection onto these, P_jj = 4/n of n equal rotors. Losses of 5, 10 and 20 % in
+ArduCopter's simulator come out within 0.01. Where outputs go with the speed, the loss is nearly twice as much.
 """
 
 from collections.abc import Sequence
@@ -72,13 +72,18 @@ def trim_of(block: Block, layout: RotorLayout, source: Source) -> tuple[FloatArr
     own, level = slice(0, layout.rotors), level_of(block, layout, source)
     if source == "actuator" and block.actuator.shape[1] >= layout.rotors:
         beyond, known = block.actuator.T[own] - level, block.known(Signal.ACTUATOR, own)  # others move no rotor
-    elif source == "torque" and layout.torque_gain is not None:  # what the mixer adds to the thrust is B m
-        beyond, known = layout.mixing @ (block.torque * layout.torque_gain).T, block.known(Signal.TORQUE_COMMAND)
+    elif source == "torque" and layout.torque_gain is not None:
+        beyond, known = block.torque.T * np.array(layout.torque_gain)[:, None], block.known(Signal.TORQUE_COMMAND)
     else:
         return np.zeros((len(block), 3)), np.zeros(len(block), dtype=np.bool_)
     known = known & block.valid & (level > MIN_OUTPUT)
     w = np.divide(beyond, level, out=np.zeros(beyond.shape), where=known)
-    return np.einsum("kr,rn->kn", layout.unmixing, w + CURVE * w * w).T, known
+    return (w if source == "torque" else np.einsum("kr,rn->kn", layout.unmixing, w + curve_of(layout) * w * w)).T, known
+
+
+def curve_of(layout: RotorLayout) -> float:
+    """Of thrust by output; 0 of a Crazyflie, whose torque commands are known: its firmware makes outputs of thrusts."""
+    return CURVE if layout.torque_gain is None else 0.0
 
 
 def level_of(block: Block, layout: RotorLayout, source: Source) -> FloatArray:

@@ -25,7 +25,7 @@ local B = { -- trims are fractions of hover, by roll, pitch and yaw
     pull = {{ entry.spec.pull }}, -- roll and pitch trim by pull [1/rad]
     errors = {{ par[name][12:15] }}, days = {{ par[name][30] }}, -- variances: of pull, 9 of turn; of the yaw trim by day
     felt = {{ entry.spec.felt | int }}, turn_trim = {{ turning }}, -- by the accelerometer; of a tick that counts half
-    least = {{ trims.MIN_OUTPUT }}, curve = {{ trims.CURVE }}, -- mean output, 0..1; of thrust by output
+    least = {{ trims.MIN_OUTPUT }}, curve = {{ par[name][32] }}, -- mean output, 0..1; of thrust by output
     unmix = {{ entry.spec.layout.unmixing }}, scale = {{ par[name][-1] }}, -- trim by output; of what a rise explains
     weight = {{ evidence[name].weight }}, unit = {{ evidence[name].least }}, -- [logits] by what shows a rotor; unit
 {% endif %}

@@ -15,10 +15,10 @@ command; one that is bent or fouled has more. The voltage is common to all rotor
 A rotor lags behind its command, and what an ESC tells behind the rotor: the mean of v(t - lag) over a tick is that of v
 less the lag times what v rises by from end to end of the tick, over its length. b is common to all rotors and fitted to
 ticks by least squares with a prior, and to the means of flights, between which other days lie; P is its covariance.
-Manoeuvres repeat, so what is no larger than SCATTER may go with one of x in all ticks: flights in which x varies tell
-what wind makes of it, and calm ones leave it open. Where a command changes swiftly the law is poor, so the means, a and
-x0 too, are weighted by 1/(1 + (s/SWIFT)^2): s is dv/dt and, for what rises and falls within the tick, the mean slope of
-a parabola, 3 (v - (v_first + v_last)/2)/T, together.
+Manoeuvres repeat, so what the law leaves beyond SCATTER, or as much, may go with one of x in all ticks: flights in
+which x varies and the law holds tell what wind makes of it, and others leave it open. Where a command changes swiftly
+the law is poor, so the means, a and x0 too, are weighted by 1/(1 + (s/SWIFT)^2): s is dv/dt and, for what rises and
+falls within the tick, the mean slope of a parabola, 3 (v - (v_first + v_last)/2)/T, together.
 
 An ESC tells the speed against the frame: at a yaw rate r more by s_j c r, s_j = 1 of rotors that turn against it. c is
 2 e/(1 + e) of a motor by its voltage, 0.3, and 1 of one by its torque. In the emulator it is 1.1 for another reason:
@@ -49,7 +49,7 @@ from mavdiag.units import RPM
 
 WINDOW_S = 5.0  # our choice, as of the trim
 TICK_S = 0.5  # a value twice a second; longer than a rotor's lag and an ESC's delay (our choice)
-SCATTER = 1e-3  # of the speed, as a tick scatters; what manoeuvres repeat is no larger (our choice)
+SCATTER = 1e-3  # of the speed, as a tick scatters; what manoeuvres repeat is no smaller (our choice)
 SWIFT = 0.01  # 1/s: a lag that is 0.1 s off makes SCATTER of so fast a change, whose tick counts half (our choice)
 TURN = 0.65  # c, between what the voltage and what the torque makes of it (our choice)
 MADE_UP_RAD_S = 6000 * RPM  # that PX4 tells of full output in simulation (SimulatorMavlink: ESC_STATUS)
@@ -294,6 +294,8 @@ class RotorSpeed(Monitor[RotorSpeedSpec]):
         (y, *x), (dy, *dx) = (one.reshape(-1, OF_ROTOR)[:, : 1 + COLUMNS].T for one in (apart, days))
         known = held_law(dy, np.column_stack(dx), LAW, np.diag(LAW_SD**2), APART, 1)
         law, P = held_law(y, np.column_stack(x), *known, FLOOR, 1, SCATTER)
+        beyond = math.sqrt(max(float(np.square(y - law @ x).mean()) - SCATTER**2, 0.0))
+        law, P = held_law(y, np.column_stack(x), *known, FLOOR, 1, max(SCATTER, beyond))
         still = replace(still, law=_pair(law), errors=(_pair(P[0]), _pair(P[1])))
         learnt = _at(still, means.mean(axis=0))
         begun = (cls(replace(learnt, spread=1.0)).begin(context.dt_s) for _ in ticks)

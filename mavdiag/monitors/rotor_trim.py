@@ -60,7 +60,7 @@ APART = 0.07, 0.07, 0.012  # of roll, pitch and yaw trim, between flights of oth
 # Places in the parameters: 1 for torque commands; 1 where the pull is felt; how many rotors; parts of a tick, rows of a
 # part, row period, ticks of a window; of the spec pull, turn, variances of k1, k2 and 9 of b1, mean, about and spread;
 # gains of torque commands; what a monitor has of its own; variance of the yaw trim between its days, and that of
-# the drag; the curve of the thrust; the unmixing C, (3, rotors), the mixing B, and 1/max |c_k|.
+# the drag; the curve of the thrust; the unmixing C, (3, rotors), and 1/max |c_k|.
 TORQUES, FELT, ROTORS, PARTS, ROWS, DT, WINDOW, PULL, TURN, ERROR, MEAN, ABOUT, SPREAD = *range(8), 9, 12, 15, 18, 21
 GAIN, OWN, DAYS, DRAG, CURVE, UNMIXING = 24, 27, 30, 31, 32, 33
 # And in the memory: parts of the tick, rows of the part, known ones of the tick, whether a trim changed, the first one;
@@ -108,17 +108,19 @@ class RotorTrimSpec(TrimSpec):
 @jit
 def _trim(par: Floats, x: Floats, i: int) -> tuple[float, float, float, float]:
     """Trim of a row [fraction of hover], not finite where it is unknown (`airframe.trim.trim_of`), and mean output."""
-    roll, pitch, yaw, level, rotors, torques = 0.0, 0.0, 0.0, 0.0, int(par[ROTORS]), par[TORQUES] > 0.5
-    if not torques and x.shape[0] < col.OUTPUTS + rotors:
+    roll, pitch, yaw, rotors, level = 0.0, 0.0, 0.0, int(par[ROTORS]), 0.0
+    if par[TORQUES] > 0.5:
+        level = x[col.THRUST, i]
+        share = 1.0 / level if level > trims.MIN_OUTPUT else math.nan
+        roll, pitch = x[col.TORQUE, i] * par[GAIN], x[col.TORQUE + 1, i] * par[GAIN + 1]
+        return roll * share, pitch * share, x[col.TORQUE + 2, i] * par[GAIN + 2] * share, level
+    if x.shape[0] < col.OUTPUTS + rotors:
         return math.nan, math.nan, math.nan, math.nan
-    for rotor in range(0 if torques else rotors):
-        level += x[col.OUTPUTS + rotor, i]
-    level = x[col.THRUST, i] if torques else level / rotors
+    for rotor in range(rotors):
+        level += x[col.OUTPUTS + rotor, i] / rotors
     level = level if level > trims.MIN_OUTPUT else math.nan
     for rotor in range(rotors):
-        at, w = UNMIXING + rotor, 0.0 if torques else x[col.OUTPUTS + rotor, i] / level - 1.0
-        for axis in range(3 if torques else 0):
-            w += par[UNMIXING + 3 * (rotors + rotor) + axis] * par[GAIN + axis] * x[col.TORQUE + axis, i] / level
+        at, w = UNMIXING + rotor, x[col.OUTPUTS + rotor, i] / level - 1.0
         w += par[CURVE] * w * w
         roll, pitch, yaw = roll + par[at] * w, pitch + par[at + rotors] * w, yaw + par[at + 2 * rotors] * w
     return roll, pitch, yaw, level
@@ -296,7 +298,7 @@ def write(par: Floats, mem: Floats, shift: Floats, sound: bool, out: Floats, rot
     for rotor in range(rotors.shape[1]):
         c, d, e = par[UNMIXING + rotor], par[UNMIXING + n + rotor], par[UNMIXING + 2 * n + rotor]
         apart = par[DRAG] * e * e * (shift[0] ** 2 + shift[1] ** 2) / max(c * c + d * d, 1e-12)  # 0 in the centre
-        rotors[k, rotor] = rise(par, rotor, shift, roll, pitch, yaw + apart)[1] * par[UNMIXING + 6 * n]
+        rotors[k, rotor] = rise(par, rotor, shift, roll, pitch, yaw + apart)[1] * par[UNMIXING + 3 * n]
     if out.shape[0] > col.TRACE:
         means = np.empty(MEANS)
         window_means(par, mem, 0, means)
@@ -405,7 +407,7 @@ class TrimMonitor(Monitor[Spec]):
         part_s, found = _tick_shape(dt_s)[1] * dt_s, []
         for x in flight:
             begun, n = self.begin(part_s), x.shape[1]
-            begun.par[TORQUES], begun.par[FELT], begun.par[CURVE], begun.par[GAIN : GAIN + 3] = 1.0, 0.0, 0.0, 1.0
+            begun.par[TORQUES], begun.par[FELT], begun.par[GAIN : GAIN + 3] = 1.0, 0.0, 1.0
             out, rotors = np.zeros((col.TRACE + SHIFT + 3, n)), np.empty((n, self.rotors))
             found.append(out[:, : self.run(begun.par, begun.mem, x, 0, 0, out, rotors, np.empty(n, dtype=np.int64))])
         return found
@@ -475,8 +477,8 @@ class TrimMonitor(Monitor[Spec]):
         mem = np.zeros(SUMS + SUMMED * (parts + 2) + (FIGURES + 1) * parts + 2 * (MEANS + 1) * window)
         mem[SUMS : SUMS + 2 * SUMMED] = np.nan
         own, sizes = self.own(self.period_s(dt_s)), np.sqrt(np.power(spec.spread, -2.0) @ np.square(C))
-        mixing = *C.ravel(), *layout.mixing.ravel(), 1.0 / sizes.max()
-        return Begin(np.array([*head, *learnt, *own, self.days**2, self.drag**2, trims.CURVE, *mixing]), mem)
+        apart = self.days**2, self.drag**2, trims.curve_of(layout)
+        return Begin(np.array([*head, *learnt, *own, *apart, *C.ravel(), 1.0 / sizes.max()]), mem)
 
 
 class RotorTrim(TrimMonitor[RotorTrimSpec]):

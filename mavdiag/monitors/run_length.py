@@ -179,14 +179,7 @@ def _margins(specs: Sequence[RunLengthSpec], flights: Flights) -> list[float]:
         raise InputError("the healthy flights have no judged rows: are they long enough and airborne?")
     most = specs[0].margin_rule is MarginRule.MAXIMUM
     joined = (np.concatenate(found) for found in levels)
-    return [float(one.max()) if most else _percentile_90(one) for one in joined]
-
-
-def _percentile_90(x: FloatArray) -> float:
-    """That of `np.percentile` by Hazen's method, in a fifth of its time."""
-    place = max(0.9 * len(x) - 0.5, 0.0)
-    found, low = np.partition(x, int(place)), int(place)
-    return float(found[low] + (place - low) * (found[min(low + 1, len(x) - 1) :].min() - found[low]))
+    return [float(one.max() if most else np.percentile(one, 90, method="hazen")) for one in joined]
 
 
 Parts = list[tuple[int, int, int]]

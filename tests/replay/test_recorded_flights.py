@@ -103,7 +103,7 @@ def test_a_cut_propeller_is_found_and_named(crazypad: dict[str, list[tuple[Rows,
                 assert ratio > 1.2, name
                 assert rotor == 3, name
             else:
-                assert ratio < 1.0, name  # weight and tape are no lost thrust
+                assert ratio < 0.9, name  # weight and tape are no lost thrust
 
 
 @pytest.mark.parametrize("taught", ["sq1", "sq5"])

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from made_rows import calibrated, example_context, example_rows
 
 from mavdiag.airframe.layout import LAYOUTS, Place, layout_at, layout_named
-from mavdiag.airframe.trim import BESIDE, CURVE, TILT_TRIM, rises, source_among, sources_of
+from mavdiag.airframe.trim import BESIDE, CURVE, TILT_TRIM, curve_of, rises, source_among, sources_of
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.monitors.base import Flights
 from mavdiag.monitors.rotor_trim import RotorTrim, RotorTrimSpec, best_rise, rise
@@ -49,7 +49,7 @@ def test_the_rise_and_its_rotor_come_out_exactly(frame: str, which: int, rise: f
     w, rotor = np.full(n, -rise / n), which % n
     w[rotor] += rise  # one rotor rises, the mean stays
     found = read(spec_of(frame), [example_rows(600, actuator=fluttering(0.5 * (1 + w)))])
-    rise += CURVE * ((rise - rise / n) ** 2 - (rise / n) ** 2)  # by the thrust
+    rise += curve_of(layout_named(frame)) * ((rise - rise / n) ** 2 - (rise / n) ** 2)  # by the thrust
     assert found.valid.tolist() == [False] * 9 + [True] * 3
     np.testing.assert_allclose(found.value[found.valid], rise, rtol=1e-8)
     assert int(found.rotors[-1].argmax()) == rotor
