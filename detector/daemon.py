@@ -36,6 +36,7 @@ from mavdiag.link.ports import PEER_FRESH_S, Endpoint, Kind, parse_address
 from mavdiag.link.profiles import PROFILES, Profile
 from mavdiag.link.vehicles import PUZZLED_S
 from mavdiag.printable import counted
+from mavdiag.storage import use_huge_pages
 from mavdiag.telemetry import Instant
 from mavdiag.units import NS_PER_S
 
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
     from detector.web.feed import Feed
 
 BEAT_S = 1.0
+TIDY_S = 10.0  # between two times that what vehicles brought into memory is put in order (our choice)
 DRAINS = 24  # reads of the vehicle's link in one tick: as many datagrams as the system keeps for us (our choice)
 LEAST = 0.3  # of a tick, in processor time, that judging has however much there is to read, and (our choice)
 MOST = 0.8  # of a tick, as the clock goes, in which vehicles are judged if there is time (our choice)
@@ -62,6 +64,7 @@ class Host:
     utc: Callable[[], datetime] = staticmethod(partial(datetime.now, UTC))
     cpu_s: Callable[[], float] = staticmethod(time.process_time)
     sleep: Callable[[float], None] = staticmethod(time.sleep)
+    tidy: Callable[[], None] = staticmethod(use_huge_pages)
 
     def __init__(self, say: Callable[[str], None]) -> None:
         self.say = say
@@ -121,7 +124,7 @@ class Daemon:
         self._inspections = inspections or Inspections(None, host.say)
         self._senders: dict[int, Sender] = {}
         self._requests = Requests(self.fleet, settings.keep_rates, self._sender, self._signing)
-        self._started = self._beat_at = self._now()
+        self._started = self._beat_at = self._tidy_at = self._now()
         self._late, self._latest_s, self._unclear = 0, 0.0, set[tuple[int, str]]()
 
     def run(self, stop: Callable[[], bool]) -> None:
@@ -193,6 +196,9 @@ class Daemon:
             self._beat(now)
             self._watch(now)
             self._beat_at = max(self._beat_at + BEAT_S, now)
+        if now - self._tidy_at >= 0:
+            self._host.tidy()
+            self._tidy_at = now + TIDY_S
         self._flush(now)
 
     def end(self) -> None:

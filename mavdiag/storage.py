@@ -32,6 +32,8 @@ COLUMN_ROWS = 512  # that it has room for at first: what a live link brings in t
 COLLECT_AT = 20_000  # containers more than before; a tick of a full link makes some thousands (our choice; Python: 700)
 KEPT = 8  # our choice: fewer are given back and faulted in again for each flight, and the most memory is the same
 MMAP_THRESHOLD, TRIM_THRESHOLD = -3, -1  # options of mallopt(3)
+MADV_COLLAPSE = 25  # of madvise(2), since Linux 6.1
+HUGE_BYTES = 2 << 20  # the largest huge page: a larger one stays empty for the most part (our choice)
 ALIGN_BYTES = 8  # of an array in a file: that of its numbers
 ROOM_BYTES = 50_000_000  # of a disk that recordings leave to journals and open inspections (our choice)
 KIND_BYTES = 64  # of a file, which tell its kind (our choice)
@@ -271,6 +273,25 @@ def keep_freed(size: int) -> None:
     if set_option is not None:
         set_option(MMAP_THRESHOLD, size)
         set_option(TRIM_THRESHOLD, KEPT * size)
+
+
+def use_huge_pages() -> None:
+    """Move what this process has in memory into huge pages, where the system has them (Linux).
+
+    What runs shortly after each pause finds its caches cold, and looks up anew where each of its pages lies.
+    """
+    pages, advise = Path("/sys/kernel/mm/transparent_hugepage"), getattr(ctypes.CDLL(None), "madvise", None)
+    try:
+        size, switch = int((pages / "hpage_pmd_size").read_text()), (pages / "enabled").read_text()
+        regions = [line.split(maxsplit=5) for line in Path("/proc/self/maps").read_text().splitlines()]
+    except (OSError, ValueError):
+        return
+    if advise is None or size > HUGE_BYTES or "[never]" in switch:
+        return
+    for span, rights, _, _, inode, *name in regions:
+        if rights == "rw-p" and inode == "0" and name in ([], ["[heap]"]):
+            first, end = (int(address, 16) for address in span.split("-"))
+            advise(ctypes.c_void_p(first), ctypes.c_size_t(end - first), MADV_COLLAPSE)
 
 
 @contextmanager

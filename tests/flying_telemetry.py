@@ -77,8 +77,7 @@ def flying(
 def flying_rows(telemetry: Telemetry) -> list[Rows]:
     front = flying_front()
     state = front.start()
-    rows = front.step(state, telemetry)
-    return [one for one in (*rows, *front.finish(state)) if isinstance(one, Rows)]
+    return [one for one in (*front.step(state, telemetry), *front.finish(state)) if isinstance(one, Rows)]
 
 
 def without(

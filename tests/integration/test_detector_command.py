@@ -1,6 +1,7 @@
 """The detector as a user and a service manager meet it: options, settings, deployment, signals, dead links."""
 
 import json
+import os
 import re
 import resource
 import signal
@@ -33,6 +34,9 @@ UNIT = ROOT / "deploy" / "mavdiag-detector.service"
 CONTAINER = ROOT / "deploy" / "Containerfile"
 BLUEOS = ROOT / "deploy" / "blueos" / "Containerfile"
 PROGRAM = "/opt/mavdiag/bin/mavdiag-detector"
+_PAGES = Path("/sys/kernel/mm/transparent_hugepage/enabled")
+_LINUX = tuple(map(int, re.findall(r"\d+", os.uname().release)[:2]))
+HUGE = _PAGES.is_file() and "[never]" not in _PAGES.read_text() and _LINUX >= (6, 1)
 
 
 def test_help_names_every_option_of_the_contract(program: Any) -> None:
@@ -128,6 +132,16 @@ def test_health_tells_a_daemon_that_works_from_one_that_hangs_or_is_gone() -> No
     assert "Connection refused" in run.stdout
 
 
+@pytest.mark.skipif(not HUGE, reason="the system moves no memory into huge pages")
+def test_what_it_keeps_in_memory_moves_into_huge_pages() -> None:
+    with running(*LEARNING) as (child, _):
+        pages, give_up = Path(f"/proc/{child.pid}/smaps"), time.monotonic() + PATIENCE_S
+        while not (huge := re.search(r"AnonHugePages: +[1-9]", pages.read_text())) and time.monotonic() < give_up:
+            time.sleep(0.05)
+        ended(child, signal.SIGTERM)
+    assert huge
+
+
 @pytest.mark.realtime
 def test_a_full_disk_stops_the_files_and_nothing_else(baseline: Path, tmp_path: Path) -> None:
     """A limit on the size of files stands for the disk: the system refuses to write beyond it."""
@@ -145,10 +159,8 @@ def test_a_full_disk_stops_the_files_and_nothing_else(baseline: Path, tmp_path: 
             vehicle.turning = 0.5
             assert any("FAULT" in text for text in until(far, vehicle, "FAULT"))
         code, rest = ended(child, signal.SIGTERM)
-    assert code == 0
-    told = [line for line in rest.splitlines() if f"record {tmp_path}/f.tlog: " in line]
-    assert len(told) == 1
-    assert "cannot be written (not all of it fitted); watching goes on without it" in told[0]
+    (told,) = (line for line in rest.splitlines() if f"record {tmp_path}/f.tlog: " in line)
+    assert (code, "cannot be written (not all of it fitted); watching goes on without it" in told) == (0, True)
     assert "entries lost to the record" in rest.splitlines()[-1]
     assert " 0 lost on the way" in rest
     assert (tmp_path / "f.tlog").stat().st_size <= 20_000
@@ -270,12 +282,9 @@ def test_the_unit_is_supervised_and_has_no_rights_to_spare() -> None:
 
 def test_the_container_runs_as_nobody_and_can_be_read_only() -> None:
     made = instructions()
-    names = [name for name, _ in made]
-    last = made[len(names) - names[::-1].index("FROM") - 1 :]
+    last = made[max(at for at, (name, _) in enumerate(made) if name == "FROM") :]
     by_name = dict(last)
-    uid = by_name["USER"].split(":")[0]
-    assert uid.isdecimal()
-    assert int(uid) > 0
+    assert int(by_name["USER"].split(":")[0]) > 0
     assert json.loads(by_name["ENTRYPOINT"]) == [PROGRAM]
     assert json.loads(by_name["HEALTHCHECK"].partition("CMD ")[2]) == [PROGRAM, "--working"]
     assert [value for name, value in last if name == "VOLUME"] == ["/data"]
@@ -286,8 +295,8 @@ def test_the_container_runs_as_nobody_and_can_be_read_only() -> None:
 
 def test_the_extension_of_blueos_has_the_labels_that_its_store_reads() -> None:
     made = instructions(BLUEOS)
-    labels = dict(value.split("=", 1) for name, value in made if name == "LABEL")
-    told = {name: text.strip("'\"") for name, text in labels.items()}
+    labels = (value.split("=", 1) for name, value in made if name == "LABEL")
+    told = {name: text.strip("'\"") for name, text in labels}
     parsed = {name: json.loads(told[name]) for name in ("permissions", "authors", "company", "links", "tags")}
     assert told["version"] == __version__
     assert all({"name", "email"} == set(author) for author in parsed["authors"])
@@ -304,5 +313,4 @@ def test_the_extension_of_blueos_has_the_labels_that_its_store_reads() -> None:
 @pytest.mark.parametrize("path", [UNIT, CONTAINER, BLUEOS])
 def test_the_variables_named_there_are_settings(path: Path) -> None:
     named = {name.lower() for name in re.findall(rf"{ENVIRONMENT}(\w+)", path.read_text())}
-    assert named
-    assert named <= {*Settings.model_fields, "config"}
+    assert set() < named <= {*Settings.model_fields, "config"}

@@ -110,8 +110,7 @@ def flown(course: Course, exchange: Callable[[tuple[float, ...]], Sensed]) -> Fl
         t_s, (w, x, y, z) = sensed.t_s, sensed.quaternion
         duties, target = pilot.step(sensed).duties, course.at(t_s)
         heading = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-        away = np.subtract(sensed.position, target.position)
-        rows.append((t_s, *sensed.position, heading, *away))
+        rows.append((t_s, *sensed.position, heading, *np.subtract(sensed.position, target.position)))
     return np.array(rows)
 
 

@@ -101,8 +101,7 @@ def test_what_cannot_be_judged_is_3_and_an_error_2(
     absent = tmp_path / "absent.tlog"
     code, out, err = mavdiag("scan", absent, crack, "--baseline", baseline, "--json", "--jobs", 1)
     assert code == 2
-    lines = [json.loads(line) for line in out.splitlines()]
-    assert [one["verdict"] for one in lines] == ["error", "fault"]
+    assert [json.loads(line)["verdict"] for line in out.splitlines()] == ["error", "fault"]
     assert "Traceback" not in err
     code, out, err = mavdiag("scan", crack, "--baseline", absent)
     assert (code, out, err.count("\n")) == (2, "", 1)

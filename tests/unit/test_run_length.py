@@ -39,8 +39,7 @@ def test_fsd_counts_consecutive_judged_rows_above_the_margin(rows: list[tuple[fl
     found = read(RunLength(RunLengthSpec(axis=axis, model=still, margin_rad_s=1.0)), made)
     expected, count = [], 0
     for x, v in rows:
-        count = count + 1 if v and abs(x) > 1.0 else 0
-        expected.append(count)
+        expected.append(count := count + 1 if v and abs(x) > 1.0 else 0)
     assert len(found) == n
     np.testing.assert_allclose(found.value, DT_S * np.array(expected), rtol=1e-12)
 
