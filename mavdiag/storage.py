@@ -89,6 +89,8 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
 
 def check_writable(path: Path) -> None:
     """Raise UsageError unless a file can be written here: new, or a regular one that may be replaced by a new one."""
+    if str(path) == "-":
+        raise UsageError("-: the standard output is no place for a file; name a file to write")
     if path.is_symlink() or (path.exists() and not path.is_file()):
         kind = "a symbolic link" if path.is_symlink() else "a folder" if path.is_dir() else "not a regular file"
         raise UsageError(f"{path}: is {kind}; name a file to write")

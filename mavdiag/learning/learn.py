@@ -47,6 +47,7 @@ from mavdiag.monitors.conditions import covered_by
 from mavdiag.monitors.fitting import judged_together
 from mavdiag.monitors.rotor_trim import RotorTrim
 from mavdiag.monitors.run_length import MarginRule, RunLength
+from mavdiag.printable import counted
 from mavdiag.rows.front import Rows
 from mavdiag.storage import Shelf, give_back, keep_freed
 from mavdiag.telemetry import Axis, Log, Series, Signal, Telemetry
@@ -189,7 +190,7 @@ def _assessed(baseline: Baseline, flights: Sequence[LearntFlight]) -> Baseline:
     none = all(monitor_of(one.spec).kind is not FaultKind.PROPELLER for one in judging)
     texts = baseline.weak, *map(str, suspicions(found, baseline.airframe)), NO_PROPELLERS * none
     said = list(dict.fromkeys(filter(None, texts)))
-    more = f" (and {len(said) - MOST_SAID} more such findings)" if len(said) > MOST_SAID else ""
+    more = f" (and {counted(len(said) - MOST_SAID, 'more such finding')})" if len(said) > MOST_SAID else ""
     weak = "; ".join(said[:MOST_SAID]) + more
     return baseline.model_copy(
         update={

@@ -27,6 +27,7 @@ from mavdiag.learning.flights import (
     odd_rate,
     outputs_in_use,
 )
+from mavdiag.printable import counted
 from mavdiag.rows.front import Front, Rows
 from mavdiag.rows.gate import GateSpec
 from mavdiag.rows.grid import steps_of
@@ -475,5 +476,5 @@ def refuse(findings: Sequence[Finding]) -> None:
 
 def _sentence(findings: Sequence[Finding]) -> str:
     first, more = findings[0], len(findings) - 1
-    others = f" (and {more} more such finding{'s' if more > 1 else ''})" if more else ""
+    others = f" (and {counted(more, 'more such finding')})" if more else ""
     return f"{first}{others}; {first.remedy}"
