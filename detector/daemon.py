@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from detector.web.feed import Feed
 
 BEAT_S = 1.0
-TIDY_S = 10.0  # between two times that what vehicles brought into memory is put in order (our choice)
+TIDY_S = 10.0  # from the start until memory is put in order again, then after twice that time each (our choice)
 DRAINS = 24  # reads of the vehicle's link in one tick: as many datagrams as the system keeps for us (our choice)
 LEAST = 0.3  # of a tick, in processor time, that judging has however much there is to read, and (our choice)
 MOST = 0.8  # of a tick, as the clock goes, in which vehicles are judged if there is time (our choice)
@@ -198,7 +198,7 @@ class Daemon:
             self._beat_at = max(self._beat_at + BEAT_S, now)
         if now - self._tidy_at >= 0:
             self._host.tidy()
-            self._tidy_at = now + TIDY_S
+            self._tidy_at = now + max(TIDY_S, now - self._started)
         self._flush(now)
 
     def end(self) -> None:
