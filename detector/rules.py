@@ -28,7 +28,7 @@ ACTIONS: Mapping[str, int] = {
     "pause": MavCmd.DO_PAUSE_CONTINUE,  # with 0, which pauses; PX4 has hold for it
 }
 BROUGHT = frozenset(("loiter", "hold", "rtl", "return", "land"))  # modes that actions bring, ArduPilot's and PX4's
-REFUSED = (MavCmd.COMPONENT_ARM_DISARM,)  # the detector never arms, nor stops motors in flight
+REFUSED = (MavCmd.COMPONENT_ARM_DISARM, MavCmd.DO_FLIGHTTERMINATION)  # they arm, or stop motors in flight
 #: Modes in which the vehicle flies by itself or keeps its place: whoever flies by hand acts himself (our choice).
 AUTOMATIC = "auto guided loiter poshold brake circle follow takeoff mission hold offboard position orbit"
 
@@ -118,5 +118,6 @@ def _action(words: list[str], row: str) -> tuple[str, int | None, tuple[float, .
         known = ", ".join((TEXT, *ACTIONS))
         raise UsageError(f"on_fault: no action {' '.join(words)!r} in {row!r}; known are {known}, a MAV_CMD")
     if command in REFUSED:
-        raise UsageError(f"on_fault: {name!r} in {row!r}: the detector neither arms nor disarms; choose another action")
+        never = "the detector neither arms nor stops motors"
+        raise UsageError(f"on_fault: {name!r} in {row!r}: {never}; choose another action")
     return name.upper().removeprefix("MAV_CMD_"), command, parameters

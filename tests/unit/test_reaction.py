@@ -274,8 +274,8 @@ def test_modes_and_sticks_are_read_from_the_autopilots_own_frames() -> None:
         (f"fault: {'9' * 5000}", "no action"),
         ("fault: DO_PARACHUTE 1 2 3 4 5 6 7 8", "no action"),
         ("fault: DO_PARACHUTE nan", "no action"),
-        ("fault: COMPONENT_ARM_DISARM 0 21196", "neither arms nor disarms"),
-        ("fault: 400 0", "neither arms nor disarms"),
+        ("fault: COMPONENT_ARM_DISARM 0 21196", "neither arms nor stops motors"),
+        *((f"fault: {refused}", "neither arms nor stops") for refused in ("400 0", "DO_FLIGHTTERMINATION 1")),
         ("fault: rtl; fault: land", "two rows"),
     ],
 )
