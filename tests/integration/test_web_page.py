@@ -55,8 +55,7 @@ def rows(chromium: Any) -> list[int]:
 
 def complaints(chromium: Any, process: ServerProcess) -> list[str]:
     """What the browser says of this page; a server of another test has ended."""
-    said = [one["message"] for one in chromium.get_log("browser")]
-    return [one for one in said if process.place.url in one]
+    return [one["message"] for one in chromium.get_log("browser") if process.place.url in one["message"]]
 
 
 def test_a_fault_is_seen_at_the_rotor_the_bar_and_the_strip(chromium: Any, process: ServerProcess) -> None:

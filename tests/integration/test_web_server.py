@@ -150,8 +150,7 @@ def test_the_server_ends_with_the_daemon_whatever_ends_that(number: signal.Signa
     with running(*LEARNING, "--web", "0") as (child, first):
         assert first.startswith("ready: ")
         assert child.stderr is not None
-        line = child.stderr.readline()
-        port = int(line.rsplit(":", 1)[1].strip("/\n"))
+        port = int(child.stderr.readline().rsplit(":", 1)[1].strip("/\n"))
         assert asked(port).status == 200
         code, rest = ended(child, number)
     assert code == (0 if number != signal.SIGKILL else -9)
