@@ -56,7 +56,8 @@ def logs_named(arguments: Iterable[str | Path], is_log: IsLog = is_log) -> Found
                 found = list(_below(argument, set(), is_log))
             elif any(sign in str(argument) for sign in "*?[") and not argument.exists():
                 matches = sorted(Path(argument.anchor).glob(str(argument.relative_to(argument.anchor))))
-                shown = (path for path in matches if not _hidden(path, argument))
+                whole = set(matches)  # of a folder that matches all is taken already
+                shown = (path for path in matches if whole.isdisjoint(path.parents) and not _hidden(path, argument))
                 found = [log for path in shown for log in _below(path, set(), is_log)]
         except (OSError, ValueError) as error:  # a name that is too long, a pattern that is none
             found = [Named(argument, f"no pattern to look for files by ({error})")]
@@ -97,13 +98,14 @@ def check_output(path: Path, *others: Path | None, kind: bytes | None = None) ->
     """Raise UsageError unless a file can be written here and nothing is lost by it.
 
     others: what else the command reads or writes; None for what was not given. kind: how a file of the kind that is
-    written begins, a regular expression: a flight log or a baseline is replaced by its own kind alone.
+    written begins, a regular expression: a flight log, a baseline or a history is replaced by its own kind alone.
     """
     storage.check_writable(path)
     storage.check_apart(path, *others)
-    own = kind is not None and storage.begins(path, kind)
-    if not own and path.exists() and path.stat().st_size and (storage.begins(path, AS_BASELINE) or is_log(path)):
-        raise UsageError(f"{path}: holds a flight log or a baseline, which would be lost; name another file to write")
+    if not path.exists() or not path.stat().st_size or (kind is not None and storage.begins(path, kind)):
+        return
+    if storage.begins(path, AS_BASELINE + rb"|SQLite format 3\0") or is_log(path):
+        raise UsageError(f"{path}: holds a flight log, a baseline or a history, which would be lost; name another file")
 
 
 def apart(paths: Sequence[str]) -> list[str]:

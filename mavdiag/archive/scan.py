@@ -93,11 +93,12 @@ class Record:
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """The answer for a log, under its path as named. fresh: False if it was kept, or is that of a copy."""
+    """The answer for a log, under its path as named. known: it was kept before. copy: it is that of an earlier log."""
 
     path: Path
     record: Record
-    fresh: bool
+    known: bool = False
+    copy: bool = False
 
     @property
     def verdict(self) -> LogVerdict:
@@ -266,8 +267,8 @@ def scan(
         for log, head in zip(logs, heads, strict=True):
             path = str(log.path.absolute())
             alone = isinstance(head, str) and fresh and alike[head] == 1
-            seen.append(path if alone else _told(log, digest_of))
-            digest = seen[-1]
+            digest = digest_at.get(path) or (path if alone else _told(log, digest_of))  # named twice, it may grow
+            seen.append(digest)
             if isinstance(digest, str) and digest not in asked:
                 asked.add(digest)
                 digest_at[path] = digest
@@ -281,18 +282,18 @@ def scan(
     def ready(first: int) -> Iterator[Answer]:
         for log, digest in zip(logs[first:], seen[first:], strict=False):
             if isinstance(digest, Record):
-                yield Answer(log.path, digest, fresh=True)
+                yield Answer(log.path, digest)
             elif digest in found:
-                yield Answer(log.path, found.pop(digest), fresh=digest not in before)
-            elif digest in finished:  # a copy; of a file that was changed before it was judged nothing is kept
-                yield Answer(log.path, kept.get(digest) or judge_file(str(log.path.absolute()), question), fresh=False)
+                yield Answer(log.path, found.pop(digest), known=digest in before)
+            elif digest in finished:  # of a file that was changed before it was judged nothing is kept
+                yield Answer(log.path, kept.get(digest) or judge_file(str(log.path.absolute()), question), copy=True)
             else:
                 return
 
     count = 0
     with closing(run_all(partial(judge_file, question=question), tasks(), workers, known=known, warn=warn)) as ended:
         for path, future in ended:
-            digest = digest_at.pop(path)
+            digest = digest_at[path]
             found[digest] = _record(future)
             finished.add(digest)
             if digest not in before:

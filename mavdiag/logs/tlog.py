@@ -223,5 +223,10 @@ def _names(sysids: Iterable[int]) -> str:
     return ", ".join(map(str, sorted(sysids)))
 
 
-# Last of all kinds: the weakest signature, a MAVLink marker after the first time stamp, or soon after damage.
-KIND = LogKind("tlog", lambda head: b"\xfd" in head or b"\xfe" in head, read_tlog)
+def _recognise(head: bytes) -> bool:
+    """Whether a marker of MAVLink stands behind a time stamp at its beginning, or a sound frame behind damage."""
+    stamped = head[:1] == b"\0" and head[STAMP_BYTES : STAMP_BYTES + 1] in (b"\xfd", b"\xfe")
+    return stamped or len(Decoder().take_stream(head, last=True)) > 0
+
+
+KIND = LogKind("tlog", _recognise, read_tlog)

@@ -521,7 +521,7 @@ def test_damage_costs_only_the_records_it_hits(tmp_path: Path, seed: int) -> Non
     [
         (b"", "empty"),
         (b"time,roll,pitch\n1,2,3\n" * 40, "not a flight log"),
-        (b"\xfd" * 500, "no MAVLink frame"),
+        (bytes(8) + b"\xfd" * 500, "no MAVLink frame"),
         (b"".join(records(n=3)) + bytes(9000), "% of the file is damaged"),
         (b"".join(record[8:] for record in records(n=99)), "no time stamps .*take its .tlog"),
         (tlog_record(START_US, Encoder(1, 1).encode(MessageId.ATTITUDE, 1)), "no autopilot's heartbeat"),
