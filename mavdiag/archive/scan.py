@@ -32,8 +32,7 @@ from mavdiag.errors import InputError, LinkError, MavdiagError, UsageError
 from mavdiag.judging import JUDGED_SHARE, LogVerdict, Verdict, judge, judge_in_full
 from mavdiag.logs import read_part
 from mavdiag.logs.csv_columns import ColumnMap
-from mavdiag.logs.log import opened
-from mavdiag.storage import read_text, write_atomically
+from mavdiag.storage import open_regular, read_text, write_atomically
 
 MOST_BYTES = 1 << 40  # the readers know how long a log of their kind may be
 COMPUTED_BY = ("numpy", "scipy", "numba", "pymavlink", "pyulog")  # whose versions may change a figure
@@ -173,13 +172,13 @@ def open_cache(folder: Path | None, scope: str, warn: Callable[[str], None] = la
 
 def digest_of(path: Path) -> str:
     """SHA-256 of a file's content, hexadecimal. Raises InputError if it cannot be read."""
-    with opened(path, MOST_BYTES) as file:
+    with open_regular(path, MOST_BYTES) as file:
         return hashlib.file_digest(cast(BufferedReader, file), "sha256").hexdigest()
 
 
 def head_of(path: Path) -> str:
     """Size and beginning of a file, which copies have in common, in short. Raises InputError if it cannot be read."""
-    with opened(path, MOST_BYTES) as file:
+    with open_regular(path, MOST_BYTES) as file:
         return f"{os.fstat(file.fileno()).st_size} {hashlib.sha256(file.read(HEAD_BYTES)).hexdigest()}"
 
 

@@ -25,8 +25,8 @@ from mavdiag.link.parameters import parameters_in
 from mavdiag.link.profiles import IMU_MESSAGES, PROFILES, Evidence, detect_profile, profile_named, with_imu
 from mavdiag.link.samples import SampleDecoder, SampleState, joined
 from mavdiag.link.sequence import FRAME, PLAIN, LinkCount
-from mavdiag.logs.log import TLOG_BYTES, LogKind, opened, windows_of
-from mavdiag.storage import Column, forget
+from mavdiag.logs.log import TLOG_BYTES, LogKind, windows_of
+from mavdiag.storage import Column, forget, open_regular
 from mavdiag.telemetry import Log, Telemetry
 
 PIECE_BYTES = 8 << 20  # of a file that is read at a time, of a longer one half: 5 min at 100 Hz (our choice)
@@ -189,7 +189,7 @@ def _chosen(path: Path, content: TlogContent, vehicle: int | None, *, several: b
 
 
 def _summed(path: Path, update: Callable[[bytes], None]) -> Iterator[bytes]:
-    with opened(path, TLOG_BYTES) as file:
+    with open_regular(path, TLOG_BYTES) as file:
         size = PIECE_BYTES if os.fstat(file.fileno()).st_size <= PIECE_BYTES else PIECE_BYTES // 2
     for window in windows_of(path, size, TLOG_BYTES):
         update(window)
@@ -201,7 +201,7 @@ def _converted(
 ) -> Iterator[Telemetry]:
     """The telemetry of one vehicle, piece by piece; uses the pieces up. latest: the bytes of the last one."""
     pieces.reverse()
-    with opened(path, TLOG_BYTES) as file:
+    with open_regular(path, TLOG_BYTES) as file:
         while pieces:
             rows, at, size = pieces.pop()
             file.seek(at)
