@@ -7,6 +7,7 @@ to find its frames and whose they are, and to convert those of a vehicle.
 
 import hashlib
 import os
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import chain, repeat
@@ -38,11 +39,11 @@ _WANTED = frozenset({*IMU_MESSAGES, MessageId.PARAM_VALUE}).union(
 
 
 class _System(Evidence):
-    """A system id of a log, and when its first frame came [ns]."""
+    """A system id of a log."""
 
-    def __init__(self, heard_ns: int) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self.heard_ns, self.parameters = heard_ns, list[Frame]()
+        self.parameters = list[Frame]()
 
 
 _NO_BYTES = np.empty(0, np.uint8)
@@ -101,7 +102,7 @@ def decode_tlog(windows: Iterable[bytes]) -> TlogContent:
 
     Never raises by itself: what is damaged is skipped and counted.
     """
-    decoder, systems = Decoder(_WANTED, stamped=True), dict[int, _System]()
+    decoder, systems = Decoder(_WANTED, stamped=True), defaultdict[int, _System](_System)
     seen_ns, kept, places, data = list[int](), Column(np.empty(0, PLAIN)), list[tuple[int, int, int]](), _NO_BYTES
     for window, last in chain(zip(windows, repeat(False)), ((b"", True),)):
         at, frames = decoder.size, decoder.take_stream(window, last=last)
@@ -109,8 +110,7 @@ def decode_tlog(windows: Iterable[bytes]) -> TlogContent:
             continue
         for sysid in np.flatnonzero(np.bincount(frames.rows["sender"] >> 8)).tolist():
             own = _of_system(frames, sysid)
-            system = systems.setdefault(sysid, _System(int(own.rows["host_ns"][0])))
-            system.take(own)
+            system = systems[sysid].take(own)
             system.parameters += own.of(MessageId.PARAM_VALUE)
         seen_ns += [int(frames.rows["host_ns"].min()), int(frames.rows["host_ns"].max())]
         kept.add(frames.rows.view(PLAIN))
@@ -171,7 +171,8 @@ def _flights(path: Path, profile: str | None, vehicle: int | None, *, several: b
         state.take_parameters(parameters)
         telemetry = joined(_converted(path, pieces, content.latest, sysid, decoder, state))
         name, notes = path.name if len(sysids) == 1 else f"{path.name} vehicle {sysid}", (*content.notes, *left_out)
-        named = (name, digest.hexdigest(), known.name, telemetry, system.heard_ns, notes, parameters)
+        started_ns = min((int(series.host_ns[0]) for series in telemetry if len(series)), default=0)
+        named = (name, digest.hexdigest(), known.name, telemetry, started_ns, notes, parameters)
         yield Log(*named, mav_type=types.get(sysid), vehicle=sysid)
 
 

@@ -284,7 +284,7 @@ def _started_ns(topics: Mapping[str, Table], series: tuple[Series, ...]) -> int:
     known = [] if utc is None else np.flatnonzero((utc > UTC_PLAUSIBLE_US) & (utc < MAX_TIME_US)).tolist()
     if utc is None or boot is None or not known:
         return 0
-    return int(utc[known[0]] - boot[known[0]]) * NS_PER_US + min(int(found.t_ns[0]) for found in series)
+    return int(utc[known[0]] - boot[known[0]]) * NS_PER_US + Telemetry(series).first_ns
 
 
 KIND = LogKind(
