@@ -102,9 +102,8 @@ def check_output(path: Path, *others: Path | None, kind: bytes | None = None) ->
     """
     storage.check_writable(path)
     storage.check_apart(path, *others)
-    if not path.exists() or not path.stat().st_size or (kind is not None and storage.begins(path, kind)):
-        return
-    if storage.begins(path, AS_BASELINE + rb"|SQLite format 3\0") or is_log(path):
+    own = storage.begins(path, b"(?!)" if kind is None else kind)  # or it is empty or absent
+    if not own and (storage.begins(path, AS_BASELINE + rb"|SQLite format 3\0") or is_log(path)):
         raise UsageError(f"{path}: holds a flight log, a baseline or a history, which would be lost; name another file")
 
 

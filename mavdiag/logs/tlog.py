@@ -38,14 +38,6 @@ _WANTED = frozenset({*IMU_MESSAGES, MessageId.PARAM_VALUE}).union(
 )
 
 
-class _System(Evidence):
-    """A system id of a log."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.parameters = list[Frame]()
-
-
 _NO_BYTES = np.empty(0, np.uint8)
 
 
@@ -63,7 +55,8 @@ class TlogContent:
 
     pieces: list[_Piece]  # frames that any profile reads, of all senders, in order
     latest: Bytes  # that the last piece lies in: a short log is read once
-    systems: Mapping[int, _System]  # by system id
+    systems: Mapping[int, Evidence]  # by system id
+    parameters: Mapping[int, list[Frame]]  # what they told of them, by system id
     span_ns: int  # from the earliest of these frames to the latest
     size: int  # bytes of the file
     records: int  # sound frames of any kind
@@ -102,7 +95,8 @@ def decode_tlog(windows: Iterable[bytes]) -> TlogContent:
 
     Never raises by itself: what is damaged is skipped and counted.
     """
-    decoder, systems = Decoder(_WANTED, stamped=True), defaultdict[int, _System](_System)
+    decoder = Decoder(_WANTED, stamped=True)
+    systems, parameters = defaultdict[int, Evidence](Evidence), defaultdict[int, list[Frame]](list)
     seen_ns, kept, places, data = list[int](), Column(np.empty(0, PLAIN)), list[tuple[int, int, int]](), _NO_BYTES
     for window, last in chain(zip(windows, repeat(False)), ((b"", True),)):
         at, frames = decoder.size, decoder.take_stream(window, last=last)
@@ -110,8 +104,8 @@ def decode_tlog(windows: Iterable[bytes]) -> TlogContent:
             continue
         for sysid in np.flatnonzero(np.bincount(frames.rows["sender"] >> 8)).tolist():
             own = _of_system(frames, sysid)
-            system = systems[sysid].take(own)
-            system.parameters += own.of(MessageId.PARAM_VALUE)
+            systems[sysid].take(own)
+            parameters[sysid] += own.of(MessageId.PARAM_VALUE)
         seen_ns += [int(frames.rows["host_ns"].min()), int(frames.rows["host_ns"].max())]
         kept.add(frames.rows.view(PLAIN))
         data = frames.data
@@ -120,7 +114,7 @@ def decode_tlog(windows: Iterable[bytes]) -> TlogContent:
     pieces = [_Piece(rows, at, size) for rows, (_, at, size) in zip(cut, places, strict=False)]
     span_ns = max(seen_ns, default=0) - min(seen_ns, default=0)
     totals = (decoder.size, decoder.records, decoder.garbage_bytes, decoder.senders, decoder.size - decoder.sound_end)
-    return TlogContent(pieces, data, systems, span_ns, *totals)
+    return TlogContent(pieces, data, systems, parameters, span_ns, *totals)
 
 
 def read_tlog(path: Path, vehicle: int | None = None, profile: str | None = None) -> Log:
@@ -167,7 +161,7 @@ def _flights(path: Path, profile: str | None, vehicle: int | None, *, several: b
             raise InputError(f"{path}: vehicle {sysid}: {why}; {remedy}")
         decoder = SampleDecoder(with_imu(known, system.counts))
         pieces = content.pieces if sysid == sysids[-1] else content.pieces.copy()
-        parameters, state = parameters_in(system.parameters, known.autopilot), SampleState()
+        parameters, state = parameters_in(content.parameters[sysid], known.autopilot), SampleState()
         state.take_parameters(parameters)
         telemetry = joined(_converted(path, pieces, content.latest, sysid, decoder, state))
         name, notes = path.name if len(sysids) == 1 else f"{path.name} vehicle {sysid}", (*content.notes, *left_out)

@@ -280,11 +280,11 @@ def _mav_type(topics: Mapping[str, Table], parameters: Mapping[str, float]) -> i
 def _started_ns(topics: Mapping[str, Table], series: tuple[Series, ...]) -> int:
     """Unix time of the first sample [ns], by the first GPS time; 0 if there is none."""
     gps = next((topics[name] for name in _GPS_TOPICS if name in topics), None)
-    utc, boot = (gps.integers("time_utc_usec"), gps.integers("timestamp")) if gps is not None else (None, None)
-    known = [] if utc is None else np.flatnonzero((utc > UTC_PLAUSIBLE_US) & (utc < MAX_TIME_US)).tolist()
-    if utc is None or boot is None or not known:
+    utc, boot = (None, None) if gps is None else map(gps.integers, ("time_utc_usec", "timestamp"))
+    if utc is None or boot is None:
         return 0
-    return int(utc[known[0]] - boot[known[0]]) * NS_PER_US + Telemetry(series).first_ns
+    known = np.flatnonzero((utc > UTC_PLAUSIBLE_US) & (utc < MAX_TIME_US) & (boot < UTC_PLAUSIBLE_US))
+    return int((utc - boot)[known[0]]) * NS_PER_US + Telemetry(series).first_ns if len(known) else 0
 
 
 KIND = LogKind(

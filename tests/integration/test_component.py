@@ -233,8 +233,7 @@ def test_an_acknowledgement_without_a_running_detector_is_taken_up_at_its_start(
             assert kept.acknowledged() == kept.acknowledged() == []
     assert (kept.acknowledged(), kept.acknowledged()) == ([(2, "mavdiag ack by B\\udcff")], [])
     assert warn.call_count == 3  # of both vehicles' files, then of the one that is there
-    inspections.ask(journal, 1, "one who comes too late: the live page")
-    assert kept.close(1)
+    assert (inspections.ask(journal, 1, "one who came too late")[0].vehicle, kept.close(1)) == (1, True)
     kept.take(1, change(Stage.FAULT, 1), "", 0, "")
     assert kept.acknowledged() == []
 

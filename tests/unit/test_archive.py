@@ -491,10 +491,7 @@ def test_a_warning_stands_while_the_level_does_and_ends_when_it_falls_back() -> 
 
 def test_marks_and_other_baselines_begin_a_stretch() -> None:
     flights = (*records([0.5] * 10), *(record(number, baseline="sha256:new") for number in range(11, 16)))
-    marks = (
-        Mark("one", START_NS + 4 * DAY_NS + 1, MarkKind.NEW_PROPELLERS),
-        Mark("one", START_NS + 90 * DAY_NS, MarkKind.REPAIR),
-    )
+    marks = [Mark("one", START_NS + day * DAY_NS + 1, kind) for day, kind in zip((4, 90), MarkKind, strict=True)]
     found = [(one.first, one.began, len(one.flights)) for one in stretches_of(flights, marks)]
     assert found == [(1, "", 4), (5, "new propellers", 6), (11, "new baseline", 5), (16, "repair", 0)]
     assert stretches_of((), marks) == ()
@@ -570,16 +567,6 @@ def test_what_is_kept_comes_back_in_order_of_time(database: str) -> None:
         assert history.flights("another") == ()
 
 
-def test_what_a_baseline_s_flights_are_compared_with_is_kept_once(database: str) -> None:
-    reference = Reference("sha256:1", ((0.25, -0.25),) * 3, (TAUGHT[0],))
-    with open_history(database, create=True) as history:
-        history.refer(reference)
-        history.refer(reference)
-        history.refer(replace(reference, baseline="sha256:2"))
-    with open_history(database) as history:
-        assert history.references() == (reference, replace(reference, baseline="sha256:2"))
-
-
 def test_a_flight_is_kept_once_and_replaced_when_asked(database: str) -> None:
     with open_history(database, create=True) as history:
         assert history.add(record(1))
@@ -593,17 +580,20 @@ def test_a_flight_is_kept_once_and_replaced_when_asked(database: str) -> None:
         assert history.kept_as("unknown") is None
 
 
-def test_several_that_add_at_once_keep_each_flight_once(database: str) -> None:
-    """Eight at a time open it, which makes the tables, and add the same ten flights."""
+def test_several_that_add_at_once_keep_each_flight_and_each_reference_once(database: str) -> None:
+    """Eight at a time open it, which makes the tables, and add the same flights and references."""
+    references = [Reference(f"sha256:{n}", ((0.25, -0.25),) * 3, (TAUGHT[0],)) for n in range(10, 60)]
 
     def add(_: int) -> int:
         with open_history(database, create=True) as history:
+            list(map(history.refer, references))
             return sum(history.add(one) for one in records([0.5] * 10))
 
     with ThreadPoolExecutor(8) as pool:
         added = sum(pool.map(add, range(8)))
     with open_history(database) as history:
         assert added == len(history.flights("one")) == 10
+        assert sorted(history.references(), key=str) == references
 
 
 def test_a_database_of_another_schema_is_refused(database: str) -> None:
