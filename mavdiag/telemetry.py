@@ -21,6 +21,7 @@ FloatArray: TypeAlias = NDArray[np.float64]
 IntArray: TypeAlias = NDArray[np.int64]
 BoolArray: TypeAlias = NDArray[np.bool_]
 Three: TypeAlias = tuple[float, float, float]
+EARLIEST_NS = 10**18  # September 2001: an earlier wall clock was not set (our choice)
 
 
 @dataclass(frozen=True, slots=True, order=True)

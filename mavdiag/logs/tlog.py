@@ -28,7 +28,7 @@ from mavdiag.link.samples import SampleDecoder, SampleState, joined
 from mavdiag.link.sequence import FRAME, PLAIN, LinkCount
 from mavdiag.logs.log import TLOG_BYTES, LogKind, windows_of
 from mavdiag.storage import Column, forget, open_regular
-from mavdiag.telemetry import Log, Telemetry
+from mavdiag.telemetry import EARLIEST_NS, Log, Telemetry
 
 PIECE_BYTES = 8 << 20  # of a file that is read at a time, of a longer one half: 5 min at 100 Hz (our choice)
 DAMAGED_SHARE = 0.5  # of the bytes: beyond it what was lost is not known (our choice)
@@ -165,7 +165,8 @@ def _flights(path: Path, profile: str | None, vehicle: int | None, *, several: b
         state.take_parameters(parameters)
         telemetry = joined(_converted(path, pieces, content.latest, sysid, decoder, state))
         name, notes = path.name if len(sysids) == 1 else f"{path.name} vehicle {sysid}", (*content.notes, *left_out)
-        started_ns = min((int(series.host_ns[0]) for series in telemetry if len(series)), default=0)
+        begins_ns = min((int(series.host_ns[0]) for series in telemetry if len(series)), default=0)
+        started_ns = begins_ns if begins_ns > EARLIEST_NS else 0
         named = (name, digest.hexdigest(), known.name, telemetry, started_ns, notes, parameters)
         yield Log(*named, mav_type=types.get(sysid), vehicle=sysid)
 

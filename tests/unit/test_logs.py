@@ -502,6 +502,8 @@ def test_a_whole_log_is_read(tmp_path: Path) -> None:
     log = read_log(written(tmp_path / "flight.tlog", data))
     assert (log.name, log.sha256, log.profile) == ("flight.tlog", sha256(data).hexdigest(), "ardupilot")
     assert (log.started_ns, log.epoch_ns) == (START_US * 1000, START_US * 1000 - 5_000_000_000)
+    unset = b"".join(k.to_bytes(8, "big") + record[8:] for k, record in enumerate(records()))
+    assert read_log(written(tmp_path / "unset.tlog", unset)).started_ns == 0
     rate = log.telemetry.need(Signal.BODY_RATE)
     assert rate.t_ns.tolist() == [5_000_000_000 + 10_000_000 * k for k in range(N)]
     assert rate.host_ns.tolist() == [1000 * START_US + 10_000_000 * k for k in range(N)]
