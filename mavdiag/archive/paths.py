@@ -59,8 +59,8 @@ def logs_named(arguments: Iterable[str | Path], is_log: IsLog = is_log) -> Found
                 whole = set(matches)  # of a folder that matches all is taken already
                 shown = (path for path in matches if whole.isdisjoint(path.parents) and not _hidden(path, argument))
                 found = [log for path in shown for log in _below(path, set(), is_log)]
-        except (OSError, ValueError) as error:  # a name that is too long, a pattern that is none
-            found = [Named(argument, f"no pattern to look for files by ({error})")]
+        except (OSError, ValueError) as error:  # a name that is too long, another user's folder, a pattern that is none
+            found = [Named(argument, f"cannot be looked for ({getattr(error, 'strerror', None) or error})")]
         taken = [log for log in found if log is not None]
         skipped += len(found) - len(taken)
         logs += taken or [Named(argument, NOTHING)]

@@ -115,7 +115,7 @@ def judging(
     quiet: bool = False,
 ) -> Iterator[tuple[Iterator[Answer], Callable[[str], None]]]:
     """The answers in order, and what prints lines beside the progress. quiet: no progress where no terminal is."""
-    sizes = sizes_of(log.path for log in logs)
+    sizes = sizes_of(logs)
     with shown("judged", sizes, quiet=quiet) as progress:
         warn = partial(progress.say, err=True)
         kept = Cache() if no_cache else open_cache(cache, question.scope, warn)
