@@ -73,7 +73,7 @@ class Judged:
         self.name, self.vehicle, self.moments, self.done = log.name, vehicle, list[Moment](), False
         times = log.telemetry.need(Signal.BODY_RATE).t_ns
         self.begin_ns, self.end_ns = int(np.min(times)), int(np.max(times))
-        offset_ns = log.started_ns - self.begin_ns if log.started_ns else 0
+        offset_ns = log.epoch_ns
         profile = replace(PROFILES["qdrone2"], name=log.profile or baseline.link.profile)
         settings = SessionSettings(negotiate=False, min_rate_hz=LEAST_HZ)
         spec = SessionSpec(profile, suited(baseline, log), settings, offset_ns)

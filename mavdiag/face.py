@@ -80,7 +80,7 @@ def judge(
     judged_share: of the flown time that must be judged before a flight is called healthy, 0..1.
     Raises InputError or BaselineError if a file cannot be read; a log that cannot be judged is a verdict, with reason.
     """
-    log = flight if isinstance(flight, Log) else replace(read_log(flight, vehicle=vehicle), name=str(flight))
+    log = flight if isinstance(flight, Log) else log_files.read_part(Path(flight), vehicle)
     return judging.judge(log, _loaded(baseline), judged_share)
 
 
@@ -94,12 +94,12 @@ def scan(
 ) -> Iterator[LogVerdict]:
     """The verdicts on many logs (files, folders, patterns), in their order, each as soon as it is there.
 
-    jobs: worker processes. With more than one, a script must do its work under `if __name__ == "__main__":`.
+    jobs: worker processes, from 1 on. With more, a script must do its work under `if __name__ == "__main__":`.
     A log that cannot be read is a verdict `error`, and loses nothing. Raises BaselineError for the baseline.
     """
     named = logs_named([flights] if isinstance(flights, str | Path) else flights).logs
     question = Question.of(_loaded(baseline), Options(vehicle, judged_share=judged_share))
-    return (answer.verdict for answer in archive(named, question, jobs))
+    return (answer.verdict for answer in archive(named, question, max(jobs, 1)))
 
 
 def rates(flight: Source, axis: Axis | str, window_s: float = 0.1) -> FlightRates:
@@ -169,12 +169,10 @@ def now() -> str:
     return datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
 
 
-def _logs(source: Source, vehicle: int | None) -> Iterator[Log]:
+def _logs(source: Source, vehicle: int | None) -> Iterable[Log]:
     if isinstance(source, Log):
-        yield source
-        return
-    for path in logs_named([source]).paths():
-        yield replace(read_log(path, vehicle=vehicle), name=str(path))
+        return [source]
+    return (log_files.read_part(path, vehicle) for path in logs_named([source]).paths())
 
 
 def _loaded(baseline: Baseline | str | Path) -> Baseline:
@@ -182,7 +180,5 @@ def _loaded(baseline: Baseline | str | Path) -> Baseline:
 
 
 def _in_order(output: ChainOutput) -> tuple[Event | Change, ...]:
-    def at(told: Event | Change) -> int:
-        return told.t_ns if isinstance(told, Change) else told.end_ns or told.start_ns
-
-    return tuple(sorted((*output.events, *output.changes), key=at))
+    told: list[Event | Change] = [*output.events, *output.changes]
+    return tuple(sorted(told, key=lambda one: one.t_ns if isinstance(one, Change) else one.end_ns or one.start_ns))

@@ -7,6 +7,7 @@ An inspection is the vehicle's, whatever baseline it is judged by later; only a 
 """
 
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
 
@@ -18,6 +19,7 @@ from mavdiag.decision.words import motors_words
 from mavdiag.errors import InputError, UsageError
 from mavdiag.link.keys import RETRY_S
 from mavdiag.monitors.base import FaultKind
+from mavdiag.printable import printable
 from mavdiag.storage import read_text, write_atomically
 from mavdiag.telemetry import Instant
 
@@ -80,7 +82,7 @@ def ask(journal: Path, vehicle: int | None, whose: str) -> tuple[Inspection, boo
         raise UsageError(f"{journal}: no inspection{'' if vehicle is None else f' of vehicle {vehicle}'} is open")
     path = _beside(journal, f"ack-{asked.vehicle}")
     waits = path.exists()
-    write_atomically(path, f"{whose[:WHOSE_BYTES]}\n")
+    write_atomically(path, f"{printable(whose)[:WHOSE_BYTES]}\n")
     return asked, waits
 
 
@@ -122,6 +124,9 @@ class Inspections:
             baseline=baseline,
             propellers=propellers,
         )
+        if old is None and self._journal is not None:
+            with suppress(OSError):  # then it cannot be taken up either
+                _beside(self._journal, f"ack-{vehicle}").unlink(missing_ok=True)  # it was of an inspection before
         if new != old:
             self._open[vehicle], self._due = new, True
 

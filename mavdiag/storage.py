@@ -58,7 +58,10 @@ def open_regular(path: Path, most_bytes: int) -> Iterator[BinaryIO]:
         if found.st_size > most_bytes:
             size = f"{found.st_size // 1024:,} KiB, and {most_bytes // 1024:,} KiB is the most that is read"
             raise InputError(f"{path}: is too large ({size})")
-        yield file
+        try:
+            yield file
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
 
 
 def read_text(path: Path, most_bytes: int = TEXT_BYTES) -> str:
@@ -68,8 +71,6 @@ def read_text(path: Path, most_bytes: int = TEXT_BYTES) -> str:
             return file.read(os.fstat(file.fileno()).st_size).decode()
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: cannot be read (not UTF-8 text)") from error
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
 
 
 def read_toml(path: Path) -> dict[str, Any]:

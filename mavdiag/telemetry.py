@@ -21,6 +21,7 @@ FloatArray: TypeAlias = NDArray[np.float64]
 IntArray: TypeAlias = NDArray[np.int64]
 BoolArray: TypeAlias = NDArray[np.bool_]
 Three: TypeAlias = tuple[float, float, float]
+EARLIEST_NS = 10**18  # September 2001: an earlier wall clock was not set (our choice)
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -161,6 +162,11 @@ class Telemetry:
         return iter(self.series)
 
     @property
+    def first_ns(self) -> int:
+        """The earliest first sample, vehicle clock; 0 without any."""
+        return min((int(series.t_ns[0]) for series in self.series if len(series)), default=0)
+
+    @property
     def digest(self) -> str:
         """SHA-256 of all times and values, hexadecimal: the identity of a flight that never was a file."""
         digest = hashlib.sha256()
@@ -189,7 +195,7 @@ class Log(Tabular):
 
     name, sha256: what to call it (a file's name), and of the whole file, hexadecimal; empty where there is no file.
     profile: that its signals follow, a key of `mavdiag.link.profiles.PROFILES`, or that of a log format.
-    started_ns: wall-clock time of the first record, unix epoch [ns]; 0 if the file does not say.
+    started_ns: wall-clock time of the first sample, unix epoch [ns]; 0 if the file does not say.
     notes: what is wrong with the file though it can be used, one sentence each.
     parameters: the autopilot's own, by name, as far as the log or link carries them; the latest values.
     motor_order: whether the columns of ACTUATOR are the motors in their order, and not the outputs of the autopilot.
@@ -249,6 +255,11 @@ class Log(Tabular):
             series.append(Series(Signal(signal), t_ns, t_ns, columns))
         telemetry = Telemetry(tuple(series))
         return cls(name, telemetry.digest, profile, telemetry, started_ns, motor_order=motor_order)
+
+    @property
+    def epoch_ns(self) -> int:
+        """Wall-clock time at second 0 of the vehicle's clock, unix epoch [ns]; 0 if the file does not say."""
+        return self.started_ns and self.started_ns - self.telemetry.first_ns
 
     __iter__: ClassVar[None] = None  # Python would ask for signals 0, 1, ...: `telemetry` has the series
 

@@ -56,10 +56,11 @@ def logs_named(arguments: Iterable[str | Path], is_log: IsLog = is_log) -> Found
                 found = list(_below(argument, set(), is_log))
             elif any(sign in str(argument) for sign in "*?[") and not argument.exists():
                 matches = sorted(Path(argument.anchor).glob(str(argument.relative_to(argument.anchor))))
-                shown = (path for path in matches if not _hidden(path, argument))
+                whole = set(matches)  # of a folder that matches all is taken already
+                shown = (path for path in matches if whole.isdisjoint(path.parents) and not _hidden(path, argument))
                 found = [log for path in shown for log in _below(path, set(), is_log)]
-        except (OSError, ValueError) as error:  # a name that is too long, a pattern that is none
-            found = [Named(argument, f"no pattern to look for files by ({error})")]
+        except (OSError, ValueError) as error:  # a name that is too long, another user's folder, a pattern that is none
+            found = [Named(argument, f"cannot be looked for ({getattr(error, 'strerror', None) or error})")]
         taken = [log for log in found if log is not None]
         skipped += len(found) - len(taken)
         logs += taken or [Named(argument, NOTHING)]
@@ -97,13 +98,13 @@ def check_output(path: Path, *others: Path | None, kind: bytes | None = None) ->
     """Raise UsageError unless a file can be written here and nothing is lost by it.
 
     others: what else the command reads or writes; None for what was not given. kind: how a file of the kind that is
-    written begins, a regular expression: a flight log or a baseline is replaced by its own kind alone.
+    written begins, a regular expression: a flight log, a baseline or a history is replaced by its own kind alone.
     """
     storage.check_writable(path)
     storage.check_apart(path, *others)
-    own = kind is not None and storage.begins(path, kind)
-    if not own and path.exists() and path.stat().st_size and (storage.begins(path, AS_BASELINE) or is_log(path)):
-        raise UsageError(f"{path}: holds a flight log or a baseline, which would be lost; name another file to write")
+    own = storage.begins(path, b"(?!)" if kind is None else kind)  # or it is empty or absent
+    if not own and (storage.begins(path, AS_BASELINE + rb"|SQLite format 3\0") or is_log(path)):
+        raise UsageError(f"{path}: holds a flight log, a baseline or a history, which would be lost; name another file")
 
 
 def apart(paths: Sequence[str]) -> list[str]:

@@ -32,8 +32,7 @@ from mavdiag.errors import InputError, LinkError, MavdiagError, UsageError
 from mavdiag.judging import JUDGED_SHARE, LogVerdict, Verdict, judge, judge_in_full
 from mavdiag.logs import read_part
 from mavdiag.logs.csv_columns import ColumnMap
-from mavdiag.logs.log import opened
-from mavdiag.storage import read_text, write_atomically
+from mavdiag.storage import open_regular, read_text, write_atomically
 
 MOST_BYTES = 1 << 40  # the readers know how long a log of their kind may be
 COMPUTED_BY = ("numpy", "scipy", "numba", "pymavlink", "pyulog")  # whose versions may change a figure
@@ -93,11 +92,12 @@ class Record:
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """The answer for a log, under its path as named. fresh: False if it was kept, or is that of a copy."""
+    """The answer for a log, under its path as named. known: it was kept before. copy: it is that of an earlier log."""
 
     path: Path
     record: Record
-    fresh: bool
+    known: bool = False
+    copy: bool = False
 
     @property
     def verdict(self) -> LogVerdict:
@@ -172,13 +172,13 @@ def open_cache(folder: Path | None, scope: str, warn: Callable[[str], None] = la
 
 def digest_of(path: Path) -> str:
     """SHA-256 of a file's content, hexadecimal. Raises InputError if it cannot be read."""
-    with opened(path, MOST_BYTES) as file:
+    with open_regular(path, MOST_BYTES) as file:
         return hashlib.file_digest(cast(BufferedReader, file), "sha256").hexdigest()
 
 
 def head_of(path: Path) -> str:
     """Size and beginning of a file, which copies have in common, in short. Raises InputError if it cannot be read."""
-    with opened(path, MOST_BYTES) as file:
+    with open_regular(path, MOST_BYTES) as file:
         return f"{os.fstat(file.fileno()).st_size} {hashlib.sha256(file.read(HEAD_BYTES)).hexdigest()}"
 
 
@@ -266,8 +266,8 @@ def scan(
         for log, head in zip(logs, heads, strict=True):
             path = str(log.path.absolute())
             alone = isinstance(head, str) and fresh and alike[head] == 1
-            seen.append(path if alone else _told(log, digest_of))
-            digest = seen[-1]
+            digest = digest_at.get(path) or (path if alone else _told(log, digest_of))  # named twice, it may grow
+            seen.append(digest)
             if isinstance(digest, str) and digest not in asked:
                 asked.add(digest)
                 digest_at[path] = digest
@@ -281,18 +281,18 @@ def scan(
     def ready(first: int) -> Iterator[Answer]:
         for log, digest in zip(logs[first:], seen[first:], strict=False):
             if isinstance(digest, Record):
-                yield Answer(log.path, digest, fresh=True)
+                yield Answer(log.path, digest)
             elif digest in found:
-                yield Answer(log.path, found.pop(digest), fresh=digest not in before)
-            elif digest in finished:  # a copy; of a file that was changed before it was judged nothing is kept
-                yield Answer(log.path, kept.get(digest) or judge_file(str(log.path.absolute()), question), fresh=False)
+                yield Answer(log.path, found.pop(digest), known=digest in before)
+            elif digest in finished:  # of a file that was changed before it was judged nothing is kept
+                yield Answer(log.path, kept.get(digest) or judge_file(str(log.path.absolute()), question), copy=True)
             else:
                 return
 
     count = 0
     with closing(run_all(partial(judge_file, question=question), tasks(), workers, known=known, warn=warn)) as ended:
         for path, future in ended:
-            digest = digest_at.pop(path)
+            digest = digest_at[path]
             found[digest] = _record(future)
             finished.add(digest)
             if digest not in before:

@@ -17,8 +17,6 @@ from mavdiag.storage import replacing, write_atomically
 from mavdiag.telemetry import frame_of
 from mavdiag.units import NS_PER_S
 
-KINDS = {"mcap": rb"\x89MCAP", "parquet": b"PAR1"}  # how the files begin
-
 
 def export(
     log: Annotated[Path | None, Argument(metavar="LOG", help="Flight log.")] = None,
@@ -39,7 +37,7 @@ def export(
     """
     chosen = [kind for kind, asked in (("mcap", mcap), ("csv", csv), ("parquet", parquet)) if asked]
     if lua is not None:
-        if log is not None or chosen or baseline is not None or output is None:
+        if chosen or output is None or (log, baseline, vehicle, columns) != (None,) * 4:
             raise UsageError("--lua takes a baseline and -o FILE.lua alone, no log")
         from mavdiag.export.lua import applet, left_out
 
@@ -52,7 +50,7 @@ def export(
     if log is None or len(chosen) != 1:
         raise UsageError("name one LOG and one of --mcap, --csv, --parquet; or --lua BASELINE -o FILE")
     output = output or Path(log.name).with_suffix(f".{chosen[0]}")
-    check_output(output, log, baseline, columns, kind=KINDS.get(chosen[0]))
+    check_output(output, log, baseline, columns)
     from mavdiag.export import flight
 
     found = read_log(log, vehicle, columns=load_column_map(columns) if columns else None)

@@ -127,7 +127,7 @@ def _taken(
     with ExitStack() as stack:
 
         def taken() -> Iterator[Log]:
-            for path in each(paths, "read", sizes_of(paths)):
+            for path in each(paths, "read", sizes_of(found.logs)):
                 yield read_part(path, vehicle, *cut, mapped)
             stack.enter_context(working(f"{what} {counted(len(paths), 'flight')} ..."))
 

@@ -5,10 +5,10 @@ import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import timedelta
-from pathlib import Path
 from threading import Timer
 from typing import TYPE_CHECKING, TypeVar
 
+from mavdiag.archive.paths import Named
 from mavdiag.commandline import say
 
 if TYPE_CHECKING:
@@ -73,9 +73,9 @@ def shown(text: str, sizes: Sequence[float], *, quiet: bool = False) -> Iterator
         yield Shown(text, sizes, bar, float("inf"))
 
 
-def sizes_of(paths: Iterable[Path]) -> tuple[float, ...]:
-    """The sizes of files, as how much work they are [bytes]; 0 for what is no file: it tells no speed."""
-    return tuple(float(path.stat().st_size) if path.is_file() else 0.0 for path in paths)
+def sizes_of(logs: Iterable[Named]) -> tuple[float, ...]:
+    """The sizes of logs, as how much work they are [bytes]; 0 for what is no file: it tells no speed."""
+    return tuple(0.0 if log.trouble or not log.path.is_file() else float(log.path.stat().st_size) for log in logs)
 
 
 def each(items: Sequence[T], text: str, sizes: Sequence[float] | None = None) -> Iterator[T]:

@@ -54,7 +54,7 @@ def report(
     reference = Baseline.load(baseline)
     found, mapped = opt.find_logs(logs, columns)
     points = max(LEAST_POINTS, COLUMNS // max(1, len(found.logs) // 4))  # fewer where many logs share a page
-    numbered = enumerate(each(found.logs, "drawn", sizes_of(named.path for named in found.logs)))
+    numbered = enumerate(each(found.logs, "drawn", sizes_of(found.logs)))
     reports = [_flight(one, reference, vehicle, mapped, points, figures=number < DRAWN) for number, one in numbered]
     verdicts = [flight.verdict for flight in reports]
     if all(verdict.verdict is Verdict.ERROR for verdict in verdicts):

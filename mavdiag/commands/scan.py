@@ -69,11 +69,11 @@ def scan(
     if csv is not None:
         check_output(csv, parquet, *read)
     if parquet is not None:
-        check_output(parquet, *read, kind=b"PAR1")
+        check_output(parquet, *read)
         check_installed("--parquet", "pyarrow", "fleet")
     question = Question.of(reference, Options(vehicle, from_s, to_s, windows, mapped, judged_share, figures=as_one))
     verdicts, rows, flights = list[Verdict](), list[Row](), dict[str, FlightRecord]()
-    known = dict[str, bool]()  # of each content: whether its answer was kept
+    before = copies = 0
     as_table = sys.stdout.isatty() and len(found.logs) > 1 and windows is None and not as_json
     how = judging(found.logs, question, scheduler or jobs, cache, no_cache=no_cache, quiet=as_json)
     with how as (answers, tell):
@@ -82,7 +82,7 @@ def scan(
                 tell(_json_line(answer) if as_json else _lines(answer))
             verdicts.append(answer.record.verdict.verdict)
             rows += rows_of(answer) if csv or parquet or as_table else ()
-            known.setdefault(answer.record.digest or str(answer.path), not answer.fresh)
+            before, copies = before + answer.known, copies + answer.copy
             if (flight := answer.record.flight) is not None:  # a copy is no further flight
                 flights.setdefault(flight.content, replace(flight, log=str(answer.path)))
     if as_table:
@@ -93,12 +93,10 @@ def scan(
         found_together = together(reference_of(reference), list(flights.values()))
         say(json.dumps({"together": found_together.as_json()}) if as_json else str(found_together))
         verdicts += [Verdict.SUSPECTED] if found_together.changed else []
-    count, before = len(found.logs), sum(known.values())
-    copies = count - len(known)
     if before and not as_json:
-        say(f"{before} of {count} answers were known already; --no-cache judges anew", err=True)
+        say(f"{before} of {len(found.logs)} answers were known already; --no-cache judges anew", err=True)
     if copies and not as_json:
-        say(f"{copies} of {count} logs: a copy of another log in the list, which was judged once", err=True)
+        say(f"{copies} of {len(found.logs)} logs: a copy of another log in the list, which was judged once", err=True)
     if csv is not None:
         write_csv(csv, rows)
     if parquet is not None:
@@ -117,7 +115,7 @@ def judging(
     quiet: bool = False,
 ) -> Iterator[tuple[Iterator[Answer], Callable[[str], None]]]:
     """The answers in order, and what prints lines beside the progress. quiet: no progress where no terminal is."""
-    sizes = sizes_of(log.path for log in logs)
+    sizes = sizes_of(logs)
     with shown("judged", sizes, quiet=quiet) as progress:
         warn = partial(progress.say, err=True)
         kept = Cache() if no_cache else open_cache(cache, question.scope, warn)

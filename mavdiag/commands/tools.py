@@ -1,6 +1,6 @@
 """`mavdiag ack`, `balance` and `warm`: small commands of one call each."""
 
-import getpass
+import os
 import time
 from pathlib import Path
 from typing import Annotated
@@ -28,7 +28,8 @@ def ack(
     """
     if not journal.is_file() and not read_open(journal):
         raise InputError(f"{journal}: no such file; name the detector's --journal")
-    inspection, waits = ask(journal, vehicle, f"mavdiag ack by {by or getpass.getuser()}")
+    by = by or os.environ.get("LOGNAME") or f"user {os.getuid()}"  # of a container, which has no name
+    inspection, waits = ask(journal, vehicle, f"mavdiag ack by {by}")
     when = "a detector that runs takes it up within a second, else at its next start; its journal tells what came of it"
     told = "handed over before, but no detector took it up; one does at its start" if waits else f"handed over; {when}"
     typer.echo(f"{inspection}: {told}")

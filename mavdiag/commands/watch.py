@@ -103,8 +103,5 @@ def replay(
     with stop_signals() as stopped:
         read, known = read_log(log, vehicle), Baseline.load(baseline)
         fitting = playable(known, read, from_s)
-
-        def begin() -> LiveJudge:
-            return LiveJudge(fitting, SPAN_S, vehicle, began_ns=read.started_ns)
-
-        play(read, begin, speed, from_s, axis, stopped)
+        begun_ns = read.started_ns
+        play(read, lambda: LiveJudge(fitting, SPAN_S, vehicle, began_ns=begun_ns), speed, from_s, axis, stopped)

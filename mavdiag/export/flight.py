@@ -75,8 +75,7 @@ def write_mcap(path: Path, log: Log, topics: Sequence[Topic], changes: Sequence[
     t_ns = np.concatenate([topic.t_ns for topic in topics])
     whose = np.repeat(np.arange(len(topics)), [len(topic.t_ns) for topic in topics])
     rows = np.concatenate([np.arange(len(topic.t_ns)) for topic in topics])
-    first_ns = int(t_ns.min())
-    shift_ns = log.started_ns - first_ns if log.started_ns else max(0, -first_ns)
+    shift_ns = log.epoch_ns or max(0, -int(t_ns.min()))
     with replacing(path) as stream:
         writer = Writer(stream)
         writer.start(library="mavdiag")

@@ -5,7 +5,7 @@ things. All that SQLAlchemy reports comes out as UsageError in one line; a passw
 """
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from json import JSONDecodeError
 from pathlib import Path
@@ -77,10 +77,8 @@ class History:
 
     def refer(self, reference: Reference) -> None:
         """Keep what the flights of a baseline are compared with, once."""
-        with self._engine.begin() as connection:
-            known = sa.select(REFERENCE.c.id).where(REFERENCE.c.baseline == reference.baseline)
-            if connection.scalar(known) is None:
-                connection.execute(sa.insert(REFERENCE).values(_REFERENCES.dump_python(reference, mode="json")))
+        with suppress(IntegrityError), self._engine.begin() as connection:  # it is there
+            connection.execute(sa.insert(REFERENCE).values(_REFERENCES.dump_python(reference, mode="json")))
 
     def mark(self, mark: Mark) -> None:
         """Keep a maintenance mark. Raises UsageError for an airframe without flights."""

@@ -39,7 +39,7 @@ def read_secret(path: Path, name: str, form: str) -> bytes:
         with open_regular(path, FILE_BYTES) as file:
             found = os.fstat(file.fileno())
             content = file.read(FILE_BYTES)
-    except (InputError, OSError) as error:
+    except InputError as error:
         raise UsageError(f"{name} {error}") from error
     if found.st_uid not in (os.geteuid(), 0):
         raise UsageError(f"{path}: the {name} is another user's; copy it and `chmod 600` the copy")

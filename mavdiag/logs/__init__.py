@@ -62,9 +62,10 @@ def read_part(
     """A log, or the part of it between two times [s], under the path as given. Raises as `read_log` and `between`."""
     log = read_log(path, vehicle, profile, columns)
     try:
-        return replace(log, name=str(path), telemetry=between(log.telemetry, from_s, to_s))
+        part = between(log.telemetry, from_s, to_s)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
+    return replace(log, name=str(path), telemetry=part, started_ns=log.epoch_ns and log.epoch_ns + part.first_ns)
 
 
 def between(telemetry: Telemetry, from_s: float | None, to_s: float | None) -> Telemetry:

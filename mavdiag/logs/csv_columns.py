@@ -166,7 +166,7 @@ def read_csv(path: Path, columns: ColumnMap) -> Log:
     left_out = len(table) - (len(series[Signal.BODY_RATE]) if Signal.BODY_RATE in series else 0)
     if left_out > (1 - DAMAGED_SHARE) * len(table):
         raise InputError(f"{path}: most rows have no gyro; check the column map")
-    lost = f"{left_out} of {len(table)} rows have no time or no gyro and were left out" if left_out else ""
+    lost = f"{left_out} of {len(table)} rows have no sound time or no gyro and were left out" if left_out else ""
     order = "its rows are newest first and were read in order of time" if newest_first else ""
     notes = tuple(filter(None, (lost, order)))
     digest = hashlib.sha256(data).hexdigest()
@@ -221,7 +221,7 @@ def _place(path: Path, column: str, names: Sequence[str], *, header: bool) -> in
 def _times(column: FloatArray, columns: ColumnMap) -> tuple[IntArray, BoolArray]:
     """Time of each row that has one [ns], and which these are."""
     unit_ns = _TIME_NS[columns.time.unit] if columns.time.rate_hz is None else NS_PER_S
-    known = np.isfinite(column) & (np.abs(column) * unit_ns < LATEST_NS)
+    known = np.abs(column) < LATEST_NS / unit_ns
     counts = column[known]
     if unit_ns < NS_PER_S and counts.max(initial=0.0) < TURN:  # a counter of 32 bits begins anew
         counts = counts + TURN * np.cumsum(np.diff(counts, prepend=counts[:1]) < -TURN / 2)

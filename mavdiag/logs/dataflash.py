@@ -451,11 +451,11 @@ def _started_ns(tables: Tables, series: tuple[Series, ...]) -> int:
         fixed = np.flatnonzero((table.column("Status") >= GPS_FIX_3D) & (week >= LEAP_SECONDS[-1][0]))
         if not len(fixed):
             return 0
-        at = int(fixed[0])
-        weeks = int(week[at])
+        at, weeks = int(fixed[0]), int(week[fixed[0]])
         leap_s = next(seconds for since, seconds in LEAP_SECONDS if weeks >= since)
         fix_ns = (GPS_EPOCH_UNIX_S + weeks * WEEK_S - leap_s) * NS_PER_S + int(tow_ms[at]) * NS_PER_MS
-        return fix_ns - int(boot[at]) * boot_unit_ns + min(int(one.t_ns[0]) for one in series)
+        started_ns = fix_ns - int(boot[at]) * boot_unit_ns + Telemetry(series).first_ns
+        return started_ns if 0 < started_ns < MAX_TIME_US * NS_PER_US else 0
     return 0
 
 

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import BinaryIO, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -137,20 +137,10 @@ def read_bytes(path: Path, limit: int = -1) -> bytes:
 
 def windows_of(path: Path, size: int = WINDOW_BYTES, most: int = LOG_BYTES) -> Iterator[bytes]:
     """The content of a log piece by piece, in order. Raises InputError if it cannot be read, is empty or too large."""
-    with opened(path, most) as file:
+    with open_regular(path, most) as file:
         window = file.read(size)
         if not window:
             raise InputError(f"{path}: the file is empty; record the flight again")
         while window:
             yield window
             window = file.read(size)
-
-
-@contextmanager
-def opened(path: Path, most: int = LOG_BYTES) -> Iterator[BinaryIO]:
-    """A log to read from. Raises InputError if it cannot be read or is too large."""
-    try:
-        with open_regular(path, most) as file:
-            yield file
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error}); check the path") from error

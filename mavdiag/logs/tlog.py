@@ -7,6 +7,7 @@ to find its frames and whose they are, and to convert those of a vehicle.
 
 import hashlib
 import os
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import chain, repeat
@@ -25,9 +26,9 @@ from mavdiag.link.parameters import parameters_in
 from mavdiag.link.profiles import IMU_MESSAGES, PROFILES, Evidence, detect_profile, profile_named, with_imu
 from mavdiag.link.samples import SampleDecoder, SampleState, joined
 from mavdiag.link.sequence import FRAME, PLAIN, LinkCount
-from mavdiag.logs.log import TLOG_BYTES, LogKind, opened, windows_of
-from mavdiag.storage import Column, forget
-from mavdiag.telemetry import Log, Telemetry
+from mavdiag.logs.log import TLOG_BYTES, LogKind, windows_of
+from mavdiag.storage import Column, forget, open_regular
+from mavdiag.telemetry import EARLIEST_NS, Log, Telemetry
 
 PIECE_BYTES = 8 << 20  # of a file that is read at a time, of a longer one half: 5 min at 100 Hz (our choice)
 DAMAGED_SHARE = 0.5  # of the bytes: beyond it what was lost is not known (our choice)
@@ -35,14 +36,6 @@ DAMAGED_SHARE = 0.5  # of the bytes: beyond it what was lost is not known (our c
 _WANTED = frozenset({*IMU_MESSAGES, MessageId.PARAM_VALUE}).union(
     *(SampleDecoder(profile).wanted for profile in PROFILES.values())
 )
-
-
-class _System(Evidence):
-    """A system id of a log, and when its first frame came [ns]."""
-
-    def __init__(self, heard_ns: int) -> None:
-        super().__init__()
-        self.heard_ns, self.parameters = heard_ns, list[Frame]()
 
 
 _NO_BYTES = np.empty(0, np.uint8)
@@ -62,7 +55,8 @@ class TlogContent:
 
     pieces: list[_Piece]  # frames that any profile reads, of all senders, in order
     latest: Bytes  # that the last piece lies in: a short log is read once
-    systems: Mapping[int, _System]  # by system id
+    systems: Mapping[int, Evidence]  # by system id
+    parameters: Mapping[int, list[Frame]]  # what they told of them, by system id
     span_ns: int  # from the earliest of these frames to the latest
     size: int  # bytes of the file
     records: int  # sound frames of any kind
@@ -101,7 +95,8 @@ def decode_tlog(windows: Iterable[bytes]) -> TlogContent:
 
     Never raises by itself: what is damaged is skipped and counted.
     """
-    decoder, systems = Decoder(_WANTED, stamped=True), dict[int, _System]()
+    decoder = Decoder(_WANTED, stamped=True)
+    systems, parameters = defaultdict[int, Evidence](Evidence), defaultdict[int, list[Frame]](list)
     seen_ns, kept, places, data = list[int](), Column(np.empty(0, PLAIN)), list[tuple[int, int, int]](), _NO_BYTES
     for window, last in chain(zip(windows, repeat(False)), ((b"", True),)):
         at, frames = decoder.size, decoder.take_stream(window, last=last)
@@ -109,9 +104,8 @@ def decode_tlog(windows: Iterable[bytes]) -> TlogContent:
             continue
         for sysid in np.flatnonzero(np.bincount(frames.rows["sender"] >> 8)).tolist():
             own = _of_system(frames, sysid)
-            system = systems.setdefault(sysid, _System(int(own.rows["host_ns"][0])))
-            system.take(own)
-            system.parameters += own.of(MessageId.PARAM_VALUE)
+            systems[sysid].take(own)
+            parameters[sysid] += own.of(MessageId.PARAM_VALUE)
         seen_ns += [int(frames.rows["host_ns"].min()), int(frames.rows["host_ns"].max())]
         kept.add(frames.rows.view(PLAIN))
         data = frames.data
@@ -120,7 +114,7 @@ def decode_tlog(windows: Iterable[bytes]) -> TlogContent:
     pieces = [_Piece(rows, at, size) for rows, (_, at, size) in zip(cut, places, strict=False)]
     span_ns = max(seen_ns, default=0) - min(seen_ns, default=0)
     totals = (decoder.size, decoder.records, decoder.garbage_bytes, decoder.senders, decoder.size - decoder.sound_end)
-    return TlogContent(pieces, data, systems, span_ns, *totals)
+    return TlogContent(pieces, data, systems, parameters, span_ns, *totals)
 
 
 def read_tlog(path: Path, vehicle: int | None = None, profile: str | None = None) -> Log:
@@ -167,11 +161,13 @@ def _flights(path: Path, profile: str | None, vehicle: int | None, *, several: b
             raise InputError(f"{path}: vehicle {sysid}: {why}; {remedy}")
         decoder = SampleDecoder(with_imu(known, system.counts))
         pieces = content.pieces if sysid == sysids[-1] else content.pieces.copy()
-        parameters, state = parameters_in(system.parameters, known.autopilot), SampleState()
+        parameters, state = parameters_in(content.parameters[sysid], known.autopilot), SampleState()
         state.take_parameters(parameters)
         telemetry = joined(_converted(path, pieces, content.latest, sysid, decoder, state))
         name, notes = path.name if len(sysids) == 1 else f"{path.name} vehicle {sysid}", (*content.notes, *left_out)
-        named = (name, digest.hexdigest(), known.name, telemetry, system.heard_ns, notes, parameters)
+        begins_ns = min((int(series.host_ns[0]) for series in telemetry if len(series)), default=0)
+        started_ns = begins_ns if begins_ns > EARLIEST_NS else 0
+        named = (name, digest.hexdigest(), known.name, telemetry, started_ns, notes, parameters)
         yield Log(*named, mav_type=types.get(sysid), vehicle=sysid)
 
 
@@ -189,7 +185,7 @@ def _chosen(path: Path, content: TlogContent, vehicle: int | None, *, several: b
 
 
 def _summed(path: Path, update: Callable[[bytes], None]) -> Iterator[bytes]:
-    with opened(path, TLOG_BYTES) as file:
+    with open_regular(path, TLOG_BYTES) as file:
         size = PIECE_BYTES if os.fstat(file.fileno()).st_size <= PIECE_BYTES else PIECE_BYTES // 2
     for window in windows_of(path, size, TLOG_BYTES):
         update(window)
@@ -201,7 +197,7 @@ def _converted(
 ) -> Iterator[Telemetry]:
     """The telemetry of one vehicle, piece by piece; uses the pieces up. latest: the bytes of the last one."""
     pieces.reverse()
-    with opened(path, TLOG_BYTES) as file:
+    with open_regular(path, TLOG_BYTES) as file:
         while pieces:
             rows, at, size = pieces.pop()
             file.seek(at)
@@ -223,5 +219,10 @@ def _names(sysids: Iterable[int]) -> str:
     return ", ".join(map(str, sorted(sysids)))
 
 
-# Last of all kinds: the weakest signature, a MAVLink marker after the first time stamp, or soon after damage.
-KIND = LogKind("tlog", lambda head: b"\xfd" in head or b"\xfe" in head, read_tlog)
+def _recognise(head: bytes) -> bool:
+    """Whether a marker of MAVLink stands behind a time stamp at its beginning, or a sound frame behind damage."""
+    stamped = head[:1] == b"\0" and head[STAMP_BYTES : STAMP_BYTES + 1] in (b"\xfd", b"\xfe")
+    return stamped or len(Decoder().take_stream(head, last=True)) > 0
+
+
+KIND = LogKind("tlog", _recognise, read_tlog)

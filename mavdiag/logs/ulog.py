@@ -21,7 +21,7 @@ from mavdiag.errors import InputError
 from mavdiag.link.messages import px4_custom_mode
 from mavdiag.link.samples import DSHOT_FULL, LEAST_US, MOST_US, PULSE_LEAST_US, euler_angles, shows_dshot
 from mavdiag.logs.log import MAX_TIME_US, RECORDED_GATE, LogKind, Row, Table, read_bytes, read_rows, usable_as
-from mavdiag.telemetry import FloatArray, Log, Series, Signal, Telemetry
+from mavdiag.telemetry import EARLIEST_NS, FloatArray, Log, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_US, RPM
 
 PROFILE = "px4-log"
@@ -30,7 +30,6 @@ ACCELEROMETER = "sensor_combined, accelerometer"  # the same topic, at times of 
 NO_ACCELEROMETER = 2**31 - 1  # of accelerometer_timestamp_relative (PX4, SensorCombined.msg)
 ARMED_STATE = 2  # of arming_state (PX4, VehicleStatus.msg; the same number in all versions)
 FIRST_MOTOR, MOTORS = 101, 12  # of actuator_function "Motor 1" (PX4, EscReport.msg), and how many there are
-UTC_PLAUSIBLE_US = 10**15  # September 2001: a receiver without a fix reports 0
 
 READ_ALLOWANCE = 8  # a sound file is read once; a run of zeros, byte by byte, costs five times its length
 HEAD_BYTES, HEADER_BYTES = 16, 3  # of the file; of a message
@@ -280,11 +279,11 @@ def _mav_type(topics: Mapping[str, Table], parameters: Mapping[str, float]) -> i
 def _started_ns(topics: Mapping[str, Table], series: tuple[Series, ...]) -> int:
     """Unix time of the first sample [ns], by the first GPS time; 0 if there is none."""
     gps = next((topics[name] for name in _GPS_TOPICS if name in topics), None)
-    utc, boot = (gps.integers("time_utc_usec"), gps.integers("timestamp")) if gps is not None else (None, None)
-    known = [] if utc is None else np.flatnonzero((utc > UTC_PLAUSIBLE_US) & (utc < MAX_TIME_US)).tolist()
-    if utc is None or boot is None or not known:
+    utc, boot = (None, None) if gps is None else map(gps.integers, ("time_utc_usec", "timestamp"))
+    if utc is None or boot is None:
         return 0
-    return int(utc[known[0]] - boot[known[0]]) * NS_PER_US + min(int(found.t_ns[0]) for found in series)
+    known = np.flatnonzero((utc < MAX_TIME_US) & (utc - boot > EARLIEST_NS // NS_PER_US))
+    return int((utc - boot)[known[0]]) * NS_PER_US + Telemetry(series).first_ns if len(known) else 0
 
 
 KIND = LogKind(

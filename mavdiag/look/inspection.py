@@ -1,6 +1,5 @@
 """What a log or a link shows without a judgement: signals, clock, units, rotors, flight, what each monitor lacks."""
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -149,7 +148,7 @@ def inspection_of(
         log=log.name,
         source=source or log.name,
         profile=log.profile,
-        span_s=float(np.ptp(np.concatenate(times))) / NS_PER_S if times else math.nan,
+        span_s=float(np.ptp(np.concatenate(times))) / NS_PER_S if times else 0.0,
         flight_s=sum(float(np.count_nonzero(block.valid)) * block.dt_s for block in flight),
         no_flight=no_flight,
         upset="" if learnt is None else "; ".join(finding.text for finding in upsets([learnt])),

@@ -61,7 +61,7 @@ class FlightReport:
     verdict: LogVerdict
     sha256: str = ""
     profile: str = ""
-    started_ns: int = 0  # unix epoch; 0 if it is not known
+    started_ns: int = 0  # then, unix epoch; 0 if it is not known
     begin_s: float = 0.0
     link: tuple[Summary, ...] = ()
     drawing: str = ""
@@ -93,7 +93,7 @@ def flight_report(log: Log, baseline: Baseline, columns: int = COLUMNS, *, figur
         verdict,
         log.sha256,
         log.profile,
-        log.started_ns,
+        log.epoch_ns and log.epoch_ns + sketch.begin_ns,
         sketch.begin_ns / NS_PER_S,
         summaries(log.telemetry),
         "" if layout is None else pictures.airframe_drawing(layout, sketch, words.rotors_of(verdict)),

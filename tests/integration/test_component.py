@@ -223,16 +223,19 @@ def test_an_acknowledgement_without_a_running_detector_is_taken_up_at_its_start(
     run = CliRunner().invoke(app, ["ack", str(journal)])
     assert isinstance(run.exception, UsageError)
     assert "choose one with --vehicle: vehicle 1: motor 1 (propeller fault, " in str(run.exception)
-    for told in ("handed over; a detector that runs takes it up", "handed over before, but no detector took it up"):
-        run = CliRunner().invoke(app, ["ack", str(journal), "--vehicle", "2", "--by", "Bo"])
+    for whose, told in (((), "handed over; a detector"), (("--by", "B\udcff"), "handed over before, but no")):
+        run = CliRunner().invoke(app, ["ack", str(journal), "--vehicle", "2", *whose], env={"LOGNAME": None})
         assert (run.exit_code, told in run.output) == (0, True), run.output
     kept = Inspections(journal, warn := Mock())
     for call in ("exists", "unlink"):  # an acknowledgement that stayed would close the next inspection, too
         with monkeypatch.context() as context:
             context.setattr(Path, call, Mock(side_effect=OSError(errno.EIO, call)))
             assert kept.acknowledged() == kept.acknowledged() == []
-    assert (kept.acknowledged(), kept.acknowledged()) == ([(2, "mavdiag ack by Bo")], [])
+    assert (kept.acknowledged(), kept.acknowledged()) == ([(2, "mavdiag ack by B\\udcff")], [])
     assert warn.call_count == 3  # of both vehicles' files, then of the one that is there
+    assert (inspections.ask(journal, 1, "one who came too late")[0].vehicle, kept.close(1)) == (1, True)
+    kept.take(1, change(Stage.FAULT, 1), "", 0, "")
+    assert kept.acknowledged() == []
 
 
 @pytest.fixture

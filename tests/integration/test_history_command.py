@@ -120,8 +120,7 @@ def test_logs_without_a_clock_follow_each_other_as_named_or_by_the_time_of_their
     def answered(*_: Any, **__: Any) -> Iterator[Any]:
         verdict = LogVerdict("", Verdict.HEALTHY, "no alarm")
         answers = (
-            Answer(log, Record(one.content, verdict, flight=one), fresh=True)
-            for log, one in zip(logs, flights, strict=True)
+            Answer(log, Record(one.content, verdict, flight=one)) for log, one in zip(logs, flights, strict=True)
         )
         yield answers, lambda _: None
 

@@ -159,7 +159,8 @@ def two_flights(pause_s: float) -> Log:
 
 def test_two_flights_in_a_log_do_not_lower_its_rate() -> None:
     """A pause as long as both flights once made 11.7 Hz of 25 Hz, and monitors were denied."""
-    alone = inspection_of(logged(flying(3000, seed=3)), Airframe())
+    alone, none = (inspection_of(logged(one), Airframe()) for one in (flying(3000, seed=3), Telemetry()))
+    assert in_one_line(none).startswith("log: px4, 0 s, no body rate")
     for pause_s in (5.0, 60.0, 600.0):
         look = inspection_of(two_flights(pause_s), Airframe())
         assert {one.signal: one.rate_hz for one in look.signals}["body_rate"] == pytest.approx(25.0, rel=0.01)

@@ -87,7 +87,7 @@ REFUSED = [
     ("mavdiag model a.tlog --window 1e9", "the window at most 10 s"),
     ("mavdiag baseline show absent.json", "no such file; make a baseline"),
     ("mavdiag export x.ulg", "name one LOG and one of --mcap, --csv, --parquet"),
-    ("mavdiag export x.ulg --lua b.json", "--lua takes a baseline"),
+    ("mavdiag export --lua b.json -o x.lua --vehicle 1", "--lua takes a baseline"),
     ("mavdiag report", "name logs and --baseline FILE"),
     *((f"mavdiag report {it}", "gone.js: no such file") for it in ("x.tlog --baseline gone.js", "--campaign gone.js")),
     ("mavdiag report x.tlog --campaign c.jsonl", "neither logs nor --baseline"),
@@ -98,7 +98,7 @@ REFUSED = [
     (f"{SCAN} --cache baseline.json", "baseline.json: no folder to keep answers in"),
     *((f"{SCAN} {it}/baseline.json", "is named twice") for it in ("--parquet empty/..", "--csv .")),
     *((f"mavdiag {it} a.tlog", "a.tlog: holds a flight log") for it in ("identify . -o", "history show --html")),
-    *((f"{it} -o baseline.json", "or a baseline") for it in ("mavdiag export a.tlog --csv", "sitl-plant record")),
+    *((f"sitl-plant record -o {it}", "a flight log, a baseline or a history") for it in ("baseline.json", "h.sqlite")),
     ("sitl-plant record -o t.tlog --truth a.tlog", "a.tlog: holds something else"),
     (f"{CAMPAIGN} -o baseline.json", "baseline.json: holds something else than results"),
     *((f"{SCAN} --windows {wrong}", "Invalid value for '--windows'") for wrong in ("0.5", "inf")),
@@ -110,11 +110,12 @@ REFUSED = [
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a log, a baseline and an empty folder."""
+    """A folder with a log, a baseline, the beginning of a history and an empty folder."""
     folder = tmp_path_factory.mktemp("place")
     made(folder, "a.tlog")
     archive_baseline().save(folder / "baseline.json")
     (folder / "t.csv").write_text("t,p,q,r")
+    (folder / "h.sqlite").write_text("SQLite format 3\0")
     (folder / "empty").mkdir()
     return folder
 

@@ -149,14 +149,14 @@ def scan(mavdiag: Any, baseline_archive: Path) -> Any:
 
 
 def test_a_pool_answers_as_one_process_does_in_order_and_keeps_it(scan: Any, archive: Path, tmp_path: Path) -> None:
-    alone = scan(archive, archive / "absent.tlog", "--json", "--jobs", 1, "--no-cache")
-    pool = scan(archive, archive / "absent.tlog", "--json", "--jobs", 2, "--cache", tmp_path / "cache")
-    again = scan(archive, archive / "absent.tlog", "--json", "--cache", tmp_path / "cache", "--jobs", 2)
+    lost = archive / ("x" * 300)  # its name is too long
+    alone = scan(archive, lost, "--json", "--jobs", 1, "--no-cache")
+    code, out, err = pool = scan(archive, lost, "--json", "--jobs", 2, "--cache", tmp_path / "cache")
+    again = scan(archive, lost, "--json", "--cache", tmp_path / "cache", "--jobs", 2)
     assert alone == pool == again
-    code, out, err = pool
     assert (code, err) == (2, "skipped 1 file without a flight log\n")
     lines = [json.loads(line) for line in out.splitlines()]
-    wanted = ("a.tlog", "b/1.tlog", "b/2.tlog", "b/9.tlog", "c.tlog", "absent.tlog")
+    wanted = ("a.tlog", "b/1.tlog", "b/2.tlog", "b/9.tlog", "c.tlog", lost.name)
     assert [one["log"] for one in lines] == [str(archive / name) for name in wanted]
     assert [one["verdict"] for one in lines] == ["healthy", "healthy", "fault", "healthy", "healthy", "error"]
     assert ({**lines[0], "log": ""}, len(list(tmp_path.glob("cache/scan/*/*.json")))) == ({**lines[3], "log": ""}, 4)

@@ -56,7 +56,7 @@ def test_all_logs_of_a_folder_are_judged_and_one_that_is_damaged_is_told(tmp_pat
     paths = made(tmp_path, "a.tlog", "b.tlog", shaken=("b.tlog",))
     (tmp_path / "c.tlog").write_bytes(ULOG_HEAD)
     archive_baseline().save(tmp_path / "b.json")
-    verdicts = list(md.scan(tmp_path, tmp_path / "b.json"))
+    verdicts = list(md.scan(tmp_path, tmp_path / "b.json", jobs=0))
     assert [str(one.verdict) for one in verdicts] == ["healthy", "fault", "error"]
     assert [one.log for one in verdicts[:2]] == [str(path) for path in paths]
     assert str(verdicts[1]) == str(md.judge(paths[1], archive_baseline()))

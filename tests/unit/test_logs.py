@@ -38,7 +38,7 @@ from mavdiag.errors import InputError
 from mavdiag.link.codec import UNKNOWN, Encoder
 from mavdiag.link.messages import MavType, MessageId
 from mavdiag.link.signing import Signing
-from mavdiag.logs import airframe_name_for, gate_for, kinds, read_log
+from mavdiag.logs import airframe_name_for, gate_for, kinds, read_log, read_part
 from mavdiag.logs.crazyflie import read_crazyflie
 from mavdiag.logs.csv_columns import ColumnMap, load_column_map
 from mavdiag.logs.dataflash import read_dataflash
@@ -178,7 +178,7 @@ def test_a_wrong_map_names_its_field(text: str, words: str, tmp_path: Path) -> N
     [
         ("a,b\n1,2\n", "no column 'time'; there are a, b"),
         ("time,p,q,r,m1,m2\n", "it has no rows"),
-        ("time,p,q,r,m1,m2\nx,y,z,,,\n", "no row has a time"),
+        ("time,p,q,r,m1,m2\n1e306,y,z,,,\n", "no row has a time"),
         ("time,p,q,r,m1,m2\n1,,,,1,1\n2,,,,1,1\n", "most rows have no gyro"),
         ('time,p,q,r,m1,m2\n"1,5",0,0,0,1,1\n', "its numbers have a decimal comma; write them with a point"),
         ("time,p,q,r,m1,m2\n" + "".join(f"{n}0000,0,0,0,1,1\n" for n in range(20)), "are 10 s apart; check the unit"),
@@ -303,6 +303,17 @@ def test_format_characters_carry_their_multiplier_and_angles_become_radians(tmp_
     assert first(log, Signal.ATTITUDE_SETPOINT) == pytest.approx([math.radians(a) for a in (10, -5, -10)])
     assert first(log, Signal.ATTITUDE) == pytest.approx([math.radians(a) for a in (11, -4, 10)])
     assert (log.telemetry.need(Signal.ATTITUDE).t_ns.tolist(), log.profile) == ([5_000_000], "ardupilot-log")
+
+
+@pytest.mark.parametrize(("boot_us", "week"), [(3_000, 2300), (1 << 63, 2300), (3_000, 65535)])
+def test_a_fix_tells_when_the_first_sample_came_unless_it_is_damaged(tmp_path: Path, boot_us: int, week: int) -> None:
+    gps = DataFlashMessage(12, "GPS", "QBIH", "TimeUS,Status,GMS,GWk")
+    (path := tmp_path / "a.bin").write_bytes(
+        dataflash([IMU, gps], [gps.record(boot_us, 3, 0, week), *map(imu, (1, 2001))])
+    )
+    fix_ns = (315_964_800 + 2300 * 604_800 - 18) * 10**9 if (boot_us, week) == (3_000, 2300) else 0
+    found = [read_part(path, from_s=at_s).started_ns for at_s in (None, 0.002)]
+    assert found == ([fix_ns - 2_999_000, fix_ns - 999_000] if fix_ns else [0, 0])
 
 
 def test_what_arms_was_disarmed_before(tmp_path: Path) -> None:
@@ -486,17 +497,20 @@ def records(sysid: int = 1, n: int = N, scale: int = 1000) -> list[bytes]:
 
 
 def test_a_whole_log_is_read(tmp_path: Path) -> None:
-    data = b"".join(records())
+    before = tlog_record(START_US - 9_000_000, heartbeat(Encoder(1, 191), MavType.ONBOARD_CONTROLLER, 8))
+    data = before + b"".join(records())
     log = read_log(written(tmp_path / "flight.tlog", data))
     assert (log.name, log.sha256, log.profile) == ("flight.tlog", sha256(data).hexdigest(), "ardupilot")
-    assert log.started_ns == START_US * 1000
+    assert (log.started_ns, log.epoch_ns) == (START_US * 1000, START_US * 1000 - 5_000_000_000)
+    unset = b"".join(k.to_bytes(8, "big") + record[8:] for k, record in enumerate(records()))
+    assert read_log(written(tmp_path / "unset.tlog", unset)).started_ns == 0
     rate = log.telemetry.need(Signal.BODY_RATE)
     assert rate.t_ns.tolist() == [5_000_000_000 + 10_000_000 * k for k in range(N)]
     assert rate.host_ns.tolist() == [1000 * START_US + 10_000_000 * k for k in range(N)]
     np.testing.assert_allclose(rate.values[-1], [-0.001 * (N - 1), 0.002, 0.003])
     assert len(log.telemetry.need(Signal.ATTITUDE_SETPOINT)) == N
     content = decode_tlog([data])
-    assert (content.records, content.damaged_bytes) == (3 * N + 3, 0)
+    assert (content.records, content.damaged_bytes) == (3 * N + 4, 0)
     assert content.senders[1, 1].lost == 0
 
 
@@ -521,7 +535,7 @@ def test_damage_costs_only_the_records_it_hits(tmp_path: Path, seed: int) -> Non
     [
         (b"", "empty"),
         (b"time,roll,pitch\n1,2,3\n" * 40, "not a flight log"),
-        (b"\xfd" * 500, "no MAVLink frame"),
+        (bytes(8) + b"\xfd" * 500, "no MAVLink frame"),
         (b"".join(records(n=3)) + bytes(9000), "% of the file is damaged"),
         (b"".join(record[8:] for record in records(n=99)), "no time stamps .*take its .tlog"),
         (tlog_record(START_US, Encoder(1, 1).encode(MessageId.ATTITUDE, 1)), "no autopilot's heartbeat"),

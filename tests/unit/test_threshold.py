@@ -17,15 +17,7 @@ from mavdiag.rows.front import Rows
 from mavdiag.telemetry import FloatArray
 from mavdiag.thresholds.evidence import RISES, STEPS, Flown, evidence_of
 from mavdiag.thresholds.heldout import Flights, Scores, score
-from mavdiag.thresholds.rule import (
-    DEGREES,
-    FLIGHTS_PER_SUSPICION,
-    USUAL,
-    Prior,
-    Threshold,
-    ThresholdRule,
-    threshold_of,
-)
+from mavdiag.thresholds.rule import DEGREES, FLIGHTS_PER_SUSPICION, USUAL, Prior, Threshold, ThresholdRule, threshold_of
 
 maxima = st.lists(st.floats(0.01, 100.0), min_size=1, max_size=60).map(np.array)
 budgets = st.floats(1e-4, 100.0)
