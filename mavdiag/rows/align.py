@@ -3,8 +3,8 @@
 The gyro is the master. On a *native* grid every row is one of its samples, other signals are brought to its time, and
 lost samples become rows; on a *resampled* grid (uneven senders) all are interpolated to a fixed period. What is made
 up is not judged: a row inside a gyro gap longer than `max_gap_s`, or than a glitch leaves, and `SETTLE_GAP_S` after it,
-is invalid; a gap longer than `BREAK_S` starts a segment, whose first `SETTLE_START_S` are invalid (METHOD section 4).
-The set-point has the same limits and its own mark. Other signals are nan where no samples within their limit are near.
+is invalid; a gap above `BREAK_S` starts a segment, whose first `SETTLE_START_S` are invalid (METHOD section 4). The
+set-point has these limits and its own mark, and is nan in a gap above `BREAK_S`; others, where none is near enough.
 
 Samples may be out of order by up to `REORDER_S`; later ones and duplicates are dropped. A row waits that long, and for
 the next sample of an interpolated signal while it may count, so that the result does not depend on the chunks. On a
@@ -577,6 +577,7 @@ def _interpolate(s: Streams, place: int, rows: IntArray, x: FloatArray, before: 
     Rows are taken together as far as they lie between the same two samples, or each at the time of the next sample.
     """
     t, at, hi, limit_ns = s.times[place], s.marks[place, LO], s.marks[place, HI], s.limits_ns[place]
+    longest_ns = NEVER_NS if place == GYRO else max(limit_ns, s.limits_ns[BREAK]) if place == SETPOINT else limit_ns
     angle, turns, i, count = place in (SETPOINT, ATTITUDE), s.turns[place], 0, len(rows)
     while i < count:
         if at + 1 < hi and t[at + 1] <= rows[i]:
@@ -596,8 +597,8 @@ def _interpolate(s: Streams, place: int, rows: IntArray, x: FloatArray, before: 
         for column in range(s.firsts[place + 1] - s.firsts[place]):
             v, row = s.values[s.firsts[place] + column], FIRST[place] + column if column < 3 else col.DOUBT
             to = x[row, before + i : before + stop]
-            if since < 0 or (gap > limit_ns and place > SETPOINT):
-                to[:] = 0.0 if place == SETPOINT else np.nan
+            if since < 0 or gap > longest_ns:
+                to[:] = np.nan
             elif not angle and matches:
                 new = v[at:]
                 for k in range(len(to)):
