@@ -367,8 +367,7 @@ class Session:
             self._effects += [Note(f"{label} not judged: {why}") for label, why in news]
         why = short = ""
         if now - judge.judged >= IDLE_S and (ground or not unjudged):
-            held = judge.memory.diagnosis if judge.memory.diagnosis.stage is Stage.NOT_JUDGED else NOTHING_SEEN
-            why = short = f": {ground.text if ground else held.reason}"
+            why = short = f": {ground.text if ground else 'propellers not judged'}"
         elif unjudged:
             why, short = words_of(unjudged)
         self.reason, self._unjudged = f"monitoring{why}", unjudged
