@@ -467,6 +467,5 @@ def refuse(findings: Sequence[Finding]) -> None:
 
 
 def _sentence(findings: Sequence[Finding]) -> str:
-    first, more = findings[0], len(findings) - 1
-    others = f" (and {more} more such finding{'s' if more > 1 else ''})" if more else ""
-    return f"{first}{others}; {first.remedy}"
+    others = f" (and {more} more such finding{'s' if more > 1 else ''})" if (more := len(findings) - 1) else ""
+    return f"{findings[0]}{others}; {findings[0].remedy}"

@@ -133,8 +133,7 @@ def _walk(par: Floats, mem: Floats, whole: bool, found: Floats) -> bool:
         value = mem[ANGLE + 3] if j == 4 else mem[SUMS + 4 + j] - (mem[ANGLE + j] if j < 3 else par[VERTICAL])
         newest = shift(mem, HISTORY + j * (1 + 2 * length), length, value) + length - 1
     mem[TICKS] += 1.0
-    ticks, of = int(mem[TICKS]), 1 + 2 * length
-    newest -= (COLUMNS - 1) * of
+    ticks, of, newest = int(mem[TICKS]), 1 + 2 * length, newest - (COLUMNS - 1) * (1 + 2 * length)
     if ticks >= 2 * mean:
         apart = min(lag, ticks - mean)  # ticks between the windows
         north = _mean(mem, newest, 0, mean) - _mean(mem, newest, apart, mean)
@@ -242,8 +241,8 @@ class SensorDrift(Monitor[SensorDriftSpec]):
             count, squares = count + disagreement.shape[1], squares + np.square(disagreement[:3]).sum(axis=1)
         if not count:
             raise IdentificationError(f"no unbroken {2 * MEAN_S:g} s of flight; fly longer")
-        least = (LEAST_ANGLE, LEAST_ANGLE, LEAST_VERTICAL)
-        tilt, heading, lift = np.maximum(np.sqrt(squares / count), least).tolist()
+        rms, least = np.sqrt(squares / count), (LEAST_ANGLE, LEAST_ANGLE, LEAST_VERTICAL)
+        tilt, heading, lift = np.maximum(rms, least).tolist()
         return (replace(unbiased, tilt=tilt, heading=heading, lift=lift),)
 
     def period_s(self, dt_s: float) -> float:

@@ -577,7 +577,6 @@ def _interpolate(s: Streams, place: int, rows: IntArray, x: FloatArray, before: 
     Rows are taken together as far as they lie between the same two samples, or each at the time of the next sample.
     """
     t, at, hi, limit_ns = s.times[place], s.marks[place, LO], s.marks[place, HI], s.limits_ns[place]
-    longest_ns = NEVER_NS if place == GYRO else max(limit_ns, s.limits_ns[BREAK]) if place == SETPOINT else limit_ns
     angle, turns, i, count = place in (SETPOINT, ATTITUDE), s.turns[place], 0, len(rows)
     while i < count:
         if at + 1 < hi and t[at + 1] <= rows[i]:
@@ -597,7 +596,7 @@ def _interpolate(s: Streams, place: int, rows: IntArray, x: FloatArray, before: 
         for column in range(s.firsts[place + 1] - s.firsts[place]):
             v, row = s.values[s.firsts[place] + column], FIRST[place] + column if column < 3 else col.DOUBT
             to = x[row, before + i : before + stop]
-            if since < 0 or gap > longest_ns:
+            if since < 0 or gap > (limit_ns if place > SETPOINT else max(limit_ns, s.limits_ns[BREAK])):
                 to[:] = np.nan
             elif not angle and matches:
                 new = v[at:]
