@@ -26,7 +26,7 @@ from mavdiag.units import G
 TICK_S = 0.1  # our choice
 MEAN_S = 2.0  # of the attitude that the gyro does not explain, now and then (our choice)
 LAG_S = 15.0  # between the two; less while the flight is young (our choice: twice a usual time constant of estimators)
-LEAP_S = 0.5  # within which an estimator that is reset has moved: two periods of the slowest attitude (our choice)
+LEAP_S = 0.4  # in which an estimator that is reset moves, longer than a slow attitude's period (our choice)
 VERTICAL_S = 4.0  # of each of two means of the vertical acceleration (our choice)
 LATE_S = 0.02  # by which an attitude may be older than the gyro: a period of 50 Hz (our choice)
 TURN_SHARE = 0.01  # of a turn that a healthy gyro may be wrong by, scale and cross-axis (IIM-42652 data sheet: 1 %)
@@ -139,9 +139,11 @@ def _walk(par: Floats, mem: Floats, whole: bool, found: Floats) -> bool:
         north = _mean(mem, newest, 0, mean) - _mean(mem, newest, apart, mean)
         east = _mean(mem, newest + of, 0, mean) - _mean(mem, newest + of, apart, mean)
         head = _mean(mem, newest + 2 * of, 0, mean) - _mean(mem, newest + 2 * of, apart, mean)
-        for k in range(newest - apart - mean + 1 + leap, newest + 1):
-            tilt = max(tilt, math.hypot(mem[k] - mem[k - leap], mem[k + of] - mem[k + of - leap]))
-            turn = max(turn, abs(mem[k + 2 * of] - mem[k + 2 * of - leap]))
+        for k in range(newest - apart - mean + 3 * leap, newest + 1):
+            x = _mean(mem, k, 0, leap) - _mean(mem, k, 2 * leap, leap)
+            y = _mean(mem, k + of, 0, leap) - _mean(mem, k + of, 2 * leap, leap)
+            psi = _mean(mem, k + 2 * of, 0, leap) - _mean(mem, k + 2 * of, 2 * leap, leap)
+            tilt, turn = max(tilt, math.hypot(x, y)), max(turn, abs(psi))
         found[0], found[1] = max(math.hypot(north, east) - tilt, 0.0), max(abs(head) - turn, 0.0)
         turned = _mean(mem, newest + 4 * of, 0, mean) - _mean(mem, newest + 4 * of, apart, mean)
         new, old = newest + 4 * of, newest + 4 * of - apart
@@ -200,11 +202,11 @@ class SensorDrift(Monitor[SensorDriftSpec]):
         s = max( |dE|/(tilt + e), |dY|/(heading + e), |V|/lift ),    e = 0.01 R + 0.004 rad/s L + 0.02 s (r + r')
 
     |dE|, |dY|: change of their 2 s means over L = 15 s, or over as much as there is since the last gap, less the most
-    that they changed within 0.5 s of it: an estimator that is reset leaps, and what drifts does not. R: angle that the
+    that their means of 0.4 s changed in 0.8 s: an estimator that is reset leaps, a drift does not. R: angle that the
     gyro turned in it; r, r': mean turning rate of each of the 2 s, for an attitude may come late. |V|: the smaller of
     two 4 s means, one after the other, where both have the same sign, so that the start of a climb does not count.
 
-    Warm-up: 4 s without a gap, 8 s for V. Latency: a gyro bias of 0.05 rad/s takes 6 s, a drift of 0.002 rad/s^2 15 s,
+    Warm-up: 4 s without a gap, 8 s for V. Latency: a gyro bias of 0.05 rad/s takes 6 s, a drift of 0.002 rad/s^2 16 s,
     a vertical bias of 0.5 m/s^2 6 s. False alarms: an estimator that is reset again within 15 s. Blind spots: a gyro's
     scale, unless the vehicle turns; a horizontal accelerometer bias below 1 m/s^2; what was there when the flight
     began; attitudes beyond 40 degrees.
@@ -241,8 +243,7 @@ class SensorDrift(Monitor[SensorDriftSpec]):
             count, squares = count + disagreement.shape[1], squares + np.square(disagreement[:3]).sum(axis=1)
         if not count:
             raise IdentificationError(f"no unbroken {2 * MEAN_S:g} s of flight; fly longer")
-        rms, least = np.sqrt(squares / count), (LEAST_ANGLE, LEAST_ANGLE, LEAST_VERTICAL)
-        tilt, heading, lift = np.maximum(rms, least).tolist()
+        tilt, heading, lift = np.maximum(np.sqrt(squares / count), (LEAST_ANGLE, LEAST_ANGLE, LEAST_VERTICAL)).tolist()
         return (replace(unbiased, tilt=tilt, heading=heading, lift=lift),)
 
     def period_s(self, dt_s: float) -> float:
