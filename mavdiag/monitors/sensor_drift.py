@@ -27,7 +27,7 @@ TICK_S = 0.1  # our choice
 MEAN_S = 2.0  # of the attitude that the gyro does not explain, now and then (our choice)
 LAG_S = 15.0  # between the two; less while the flight is young (our choice: twice a usual time constant of estimators)
 LEAP_S = 0.4  # in which an estimator that is reset moves, longer than a slow attitude's period (our choice)
-VERTICAL_S = 4.0  # of each of two means of the vertical acceleration (our choice)
+VERTICAL_S = 4.0  # of each of three means of the vertical acceleration (our choice)
 LATE_S = 0.02  # by which an attitude may be older than the gyro: a period of 50 Hz (our choice)
 TURN_SHARE = 0.01  # of a turn that a healthy gyro may be wrong by, scale and cross-axis (IIM-42652 data sheet: 1 %)
 # rad/s: change of a gyro's bias between flights that is no fault. The IIM-42652's data sheet has 0.005 deg/s a kelvin,
@@ -149,9 +149,10 @@ def _walk(par: Floats, mem: Floats, whole: bool, found: Floats) -> bool:
         new, old = newest + 4 * of, newest + 4 * of - apart
         rates = mem[new] - mem[new - mean + 1] + mem[old] - mem[old - mean + 1]  # of both windows
         found[3] = TURN_SHARE * turned + apart * (USUAL_BIAS * span_s) + LATE_S / MEAN_S * rates
-    if ticks >= 2 * lift:
-        late, early = _mean(mem, newest + 3 * of, 0, lift), _mean(mem, newest + 3 * of, lift, lift)
-        found[2] = min(abs(late), abs(early)) if late * early > 0.0 else 0.0
+    if ticks >= 3 * lift:
+        late, early = _mean(mem, newest + 3 * of, 0, lift), _mean(mem, newest + 3 * of, 2 * lift, lift)
+        middle = _mean(mem, newest + 3 * of, lift, lift)
+        found[2] = min(abs(late), abs(middle), abs(early)) if min(late * middle, middle * early) > 0.0 else 0.0
     return ticks >= 2 * mean
 
 
@@ -203,11 +204,11 @@ class SensorDrift(Monitor[SensorDriftSpec]):
 
     |dE|, |dY|: change of their 2 s means over L = 15 s, or over as much as there is since the last gap, less the most
     that their means of 0.4 s changed in 0.8 s: an estimator that is reset leaps, a drift does not. R: angle that the
-    gyro turned in it; r, r': mean turning rate of each of the 2 s, for an attitude may come late. |V|: the smaller of
-    two 4 s means, one after the other, where both have the same sign, so that the start of a climb does not count.
+    gyro turned in it; r, r': mean turning rate of each of the 2 s, for an attitude may come late. |V|: the smallest of
+    three 4 s means, one after the other, where all have the same sign: the start of a climb may touch two of them.
 
-    Warm-up: 4 s without a gap, 8 s for V. Latency: a gyro bias of 0.05 rad/s takes 6 s, a drift of 0.002 rad/s^2 16 s,
-    a vertical bias of 0.5 m/s^2 6 s. False alarms: an estimator that is reset again within 15 s. Blind spots: a gyro's
+    Warm-up: 4 s without a gap, 12 s for V. Latency: a gyro bias of 0.05 rad/s takes 6 s, a drift of 0.002 rad/s^2 16 s,
+    a vertical bias of 0.5 m/s^2 10 s. False alarms: an estimator that is reset again within 15 s. Blind spots: a gyro's
     scale, unless the vehicle turns; a horizontal accelerometer bias below 1 m/s^2; what was there when the flight
     began; attitudes beyond 40 degrees.
     """

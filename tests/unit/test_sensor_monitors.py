@@ -40,8 +40,7 @@ def drift(angle: FloatArray, rate: FloatArray, force: FloatArray) -> Statistic:
 def test_sensors_that_agree_are_silent_however_the_vehicle_turns(yaw_rate: float) -> None:
     angle = attitude(yaw_rate)
     reset = angle + np.outer(np.arange(N) > N // 2, [0.05, -0.05, 0.5])  # the estimator
-    for told in (angle, reset):
-        assert drift(told, body_rates(angle), level_force(told)).value.max() < 1.0
+    assert max(drift(one, body_rates(angle), level_force(one)).value.max() for one in (angle, reset)) < 1.0
     angle[:, 2] += 2.0 * np.sin(DT_S * np.arange(N))  # to and fro, and the attitude comes 30 ms late
     late = angle[np.maximum(np.arange(N) - 3, 0)]
     assert drift(late, body_rates(angle), level_force(late)).value.max() < SensorDrift.least
@@ -65,7 +64,7 @@ def test_a_vertical_bias_counts_only_where_it_lasts() -> None:
     lasting[1000:, 2] += 0.4
     short[1000:1200, 2] -= 2.0  # a climb that begins: 4 m/s more
     assert drift(angle, body_rates(angle), lasting).value[-1] == pytest.approx(0.4 / 0.08, rel=0.05)
-    assert drift(angle, body_rates(angle), short).value.max() < 4.0 / 8.0 / 0.08 + 0.5  # half of it, over 4 s
+    assert drift(angle, body_rates(angle), short).value.max() < SensorDrift.least
 
 
 def noise(rng: np.random.Generator, *loud: tuple[int, float]) -> Statistic:
