@@ -89,8 +89,8 @@ class TlogContent:
         """What is wrong with the file, one sentence each."""
         damaged = f"{(inner := self.damaged_bytes - self.trailing_bytes)} bytes are damaged and were skipped"
         cut = f"it ends within a record, {self.trailing_bytes} bytes are lost: the recording was cut off"
-        autopilots = [one for (_, component), one in self.senders.items() if component == AUTOPILOT]
-        two = max(((one.clashes + one.restarts) / one.received for one in autopilots), default=0.0)
+        pilots = (one for (_, component), one in self.senders.items() if component == AUTOPILOT)
+        two = max(((one.clashes + one.restarts) / one.received for one in pilots), default=0.0)
         both = f"numbers of {100 * two:.0f} % of the frames clash: two vehicles of one id, or two links, are in it"
         return tuple(compress((damaged, both, cut), (inner, two > CLASHING, self.trailing_bytes)))
 
