@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from detector.fleet import Turn
 from detector.values import Effect, Note, SendText
+from mavdiag.link.clock import LEAPS
 from mavdiag.link.codec import AUTOPILOT
 from mavdiag.link.messages import Component, Severity
 from mavdiag.link.sequence import PINNED_S, LinkCount, Source
@@ -18,7 +19,6 @@ RESTARTS = 3  # new beginnings of the running numbers in a second, and
 SECONDS = 3  # seconds in a row, that two senders with one name show (our choice)
 OURS = int(Component.ONBOARD_COMPUTER)
 STALE_ADVICE = "stale: check both clocks; if this one was ahead before, start once with --reset-stamp"
-LEAPS = 3  # stamps that leap before they are told: one is a damaged frame (our choice)
 
 
 @dataclass(slots=True)

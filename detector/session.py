@@ -365,12 +365,9 @@ class Session:
         if unjudged != self._unjudged:
             news = [one for one in unjudged.items() if one not in self._unjudged.items()]
             self._effects += [Note(f"{label} not judged: {why}") for label, why in news]
-        why = short = ""
+        why, short = words_of(unjudged) if unjudged else ("", "")
         if now - judge.judged >= IDLE_S and (ground or not unjudged):
-            held = judge.memory.diagnosis if judge.memory.diagnosis.stage is Stage.NOT_JUDGED else NOTHING_SEEN
-            why = short = f": {ground.text if ground else held.reason}"
-        elif unjudged:
-            why, short = words_of(unjudged)
+            why = short = f": {ground.text if ground else 'propellers not judged'}"
         self.reason, self._unjudged = f"monitoring{why}", unjudged
         if judge.memory.decision.decided.stage not in (Stage.FAULT, Stage.INSPECT) or unjudged:
             self._say(Kind.MONITORING, short, key=short)

@@ -14,7 +14,7 @@ from mavdiag.chain import Chain, ChainOutput, chain_of, suited
 from mavdiag.decision.diagnosis import Change, Event, RotorSpan, Stage
 from mavdiag.decision.words import MOSTLY, fault_reason, inspect_words
 from mavdiag.errors import BaselineError, InputError, UsageError
-from mavdiag.kernel import Account, Piece, Stretch
+from mavdiag.kernel import WAITING, Account, Piece, Stretch
 from mavdiag.monitors import by_name
 from mavdiag.monitors.base import FaultKind
 from mavdiag.printable import counted
@@ -309,12 +309,12 @@ class _Run:
         text += f", without {self.takeoff_s:.1f} s of take-off or start" if self.takeoff_s >= 0.1 else ""
         why = [f"{one.reason} {self._between(one.begin_s, one.end_s)}" for one in self.hidden]
         short = share < self.judged_share  # then the monitors' reasons follow
-        cause = "" if short or not own else max(own, key=lambda one: one.judged_s).not_judged  # it lacked least
+        lacking = [one for one in own if one not in spoke or (one.not_judged and short)]
+        cause = "" if not own or (short and lacking) else max(own, key=lambda one: one.judged_s).not_judged or WAITING
         spans = [(begin / NS_PER_S, end / NS_PER_S) for begin, end in self.state.memory.unjudged if share > 0]
         spans = [span for span in spans if span[1] - span[0] >= (MIN_JUDGED_S if short else LONG_S)]
         longest = sorted(spans, key=lambda span: span[0] - span[1])[:MOST_STRETCHES]
         why += [f"nothing judged {self._between(*span)}{f' ({cause})' if cause else ''}" for span in sorted(longest)]
-        lacking = [one for one in own if one not in spoke or (one.not_judged and short)]
         judged = [f"; it judged {one.judged_s:.0f} s" if one.judged_s >= MIN_JUDGED_S else "" for one in lacking]
         reasons = [f"{m.name} ({m.not_judged or 'too little flight'}{s})" for m, s in zip(lacking, judged, strict=True)]
         why += [f"not judged by {', '.join(reasons)}"] if reasons else []

@@ -55,7 +55,9 @@ LEAST_ERROR_RAD_S = 0.5  # rate error below which nothing is far: gusts are many
 FAR_LEVEL = 1.5  # least ratio of thrust to the median (our choice)
 
 TURN_S = 2.0  # over which the rates are integrated to angles: the lag of a rate loop hardly counts then (our choice)
-TURNED = 0.2  # of r, of either sign: clear; recorded healthy flights have 0.26 to 1 (our choice)
+TURNED = (
+    0.1  # of r, of either sign: clear; recorded healthy flights have 0.29 to 1, emulated ones 0.1 to 1 (our choice)
+)
 
 GROUP_DISTANCE = 0.03  # of the hover command; one airframe's recorded sessions lie up to 0.023 apart (our choice)
 NOTED_DISTANCE = 0.005  # of the hover command: as much as new propellers make (our choice)
@@ -179,24 +181,19 @@ def _runs(values: FloatArray, every: int) -> tuple[IntArray, IntArray]:
 
 def upsets(flights: Sequence[LearntFlight]) -> tuple[Finding, ...]:
     """The upset of each flight that has one, from its first sign to its last, with two seconds around."""
-    seen = (upset_in(_seen(flight, "motion")) for flight in flights)
-    return tuple(
-        Finding(
-            number,
-            flights[number].label.name,
-            upset.text,
-            upset.begin_s - MARGIN_S,
-            None if upset.ends else upset.end_s + MARGIN_S,
-        )
-        for number, upset in enumerate(seen)
-        if upset is not None
-    )
+    found = list[Finding]()
+    for number, flight in enumerate(flights):
+        if (upset := upset_in(_seen(flight, "motion"))) is not None:
+            end_s = None if upset.ends else upset.end_s + MARGIN_S
+            found.append(Finding(number, flight.label.name, upset.text, upset.begin_s - MARGIN_S, end_s))
+    return tuple(found)
 
 
 def turned(flights: Sequence[LearntFlight], known: Collection[int] = ()) -> tuple[Finding, ...]:
     """Flights whose gyro follows its set-point with another sign than in most flights, in roll or pitch.
 
-    r = sum a b/max(sum a^2, sum b^2) of both, integrated over 2 s each. known: axes of which the sign is right.
+    r = sum a b/max(sum a^2, sum b^2) of both, integrated over 2 s each, less a straight line: in what is slower a calm
+    vehicle's commands oppose what moves it, as on a circle. known: axes of which the sign is right.
     """
     found = dict[int, Finding]()
     sums = np.array([sum(_seen(flight, "turns"), np.zeros((3, 2))) for flight in flights]).reshape(-1, 3, 2)
@@ -211,12 +208,13 @@ def turned(flights: Sequence[LearntFlight], known: Collection[int] = ()) -> tupl
 
 
 def _turns(rows: Rows) -> Iterator[FloatArray]:
-    """Sums of a b, a a and b b, (3, 2): a, b the commanded and measured angle of roll and pitch in each 2 s."""
+    """Sums of a b, a a and b b, (3, 2): a, b the commanded and measured angle in each 2 s, less a straight line."""
     rates, size = rows.rates, window_rows(TURN_S, rows.block.dt_s)
     count = len(rates.commanded) // size
     whole = rates.commanded[: count * size].reshape(count, size).all(axis=1)
     u, y = (one[: count * size, :2].reshape(count, size, 2)[whole].cumsum(axis=1) for one in (rates.u, rates.y))
-    a, b = u - u.mean(axis=1, keepdims=True), y - y.mean(axis=1, keepdims=True)
+    line = np.linalg.qr(np.vander(np.arange(size), 2))[0]
+    a, b = (one - np.einsum("ik,jk,cjx->cix", line, line, one, optimize=True) for one in (u, y))
     yield np.array([(one * other).sum(axis=(0, 1)) for one, other in ((a, b), (a, a), (b, b))])
 
 
@@ -430,11 +428,9 @@ def _quality_of(flights: Sequence[LearntFlight]) -> LinkQuality:
         learnt_quality((held.open(signal), spans) for held, spans in flown)
         for signal in dict.fromkeys(signal for held, _ in flown for signal in held.signals)
     ]
-    return LinkQuality(
-        habits=tuple(habit for part in parts for habit in part.habits),
-        jitter=max(part.jitter for part in parts),
-        resolution_rad_s=max(part.resolution_rad_s for part in parts),
-    )
+    habits = tuple(habit for part in parts for habit in part.habits)
+    step = max(part.resolution_rad_s for part in parts)
+    return LinkQuality(habits=habits, jitter=max(part.jitter for part in parts), resolution_rad_s=step)
 
 
 def one_vehicle(found: Taught, layout: RotorLayout | None, *, robust: bool) -> Taught:
@@ -443,12 +439,9 @@ def one_vehicle(found: Taught, layout: RotorLayout | None, *, robust: bool) -> T
     odd = {finding.number: finding for finding in findings if finding.refuses}
     if odd and not robust:
         raise InputError(f"{_sentence(list(odd.values()))}; or learn a type with --fleet")
-    return replace(
-        found,
-        flights=tuple(flight for number, flight in enumerate(found.flights) if number not in odd),
-        left_out=(*found.left_out, *map(str, odd.values())),
-        notes=(*found.notes, *(str(finding) for finding in findings if not finding.refuses)),
-    )
+    flights = tuple(flight for number, flight in enumerate(found.flights) if number not in odd)
+    notes = (*found.notes, *(str(finding) for finding in findings if not finding.refuses))
+    return replace(found, flights=flights, left_out=(*found.left_out, *map(str, odd.values())), notes=notes)
 
 
 def _without(
@@ -475,6 +468,5 @@ def refuse(findings: Sequence[Finding]) -> None:
 
 
 def _sentence(findings: Sequence[Finding]) -> str:
-    first, more = findings[0], len(findings) - 1
-    others = f" (and {counted(more, 'more such finding')})" if more else ""
-    return f"{first}{others}; {first.remedy}"
+    others = f" (and {counted(more, 'more such finding')})" if (more := len(findings) - 1) else ""
+    return f"{findings[0]}{others}; {findings[0].remedy}"

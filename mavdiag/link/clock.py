@@ -33,6 +33,7 @@ LATE_NS = NS_PER_S  # a stamp may be this much older than the one before and sti
 WRAP_SLACK_NS = 60 * NS_PER_S  # a wrap must agree with the receiver's clock this well, or it is a reboot
 JUMP_SLACK_NS = 3600 * NS_PER_S  # beyond the receiver's clock by more: another clock, not a pause
 SILENT_NS = NS_PER_S  # the vehicle's old clock must be silent for so long before a new one is a reboot
+LEAPS = 3  # stamps that leap before they are told: one is a damaged frame (our choice)
 LEAP_NS = NS_PER_S // 5  # a stamp so far ahead of the line leaps: links bunch the samples of a stream by less
 AGREEING = 3  # samples in a row that must agree on a new clock before it is followed
 DRIFT_SHIFT = 11  # the line gives way by one part in 2^11 of the time, ten times the drift of a plain quartz

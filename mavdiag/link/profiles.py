@@ -87,8 +87,8 @@ class Evidence:
 
     @property
     def period_us(self) -> float:
-        """Median period of RAW_IMU; NaN without it."""
-        steps = np.diff(self._raw["time_usec"].astype(np.int64))
+        """Median period of RAW_IMU, whose frames may come twice; NaN without it."""
+        steps = np.diff(np.unique(self._raw["time_usec"].astype(np.int64)))
         return float(np.median(steps)) if len(steps) else float("nan")
 
     def weighs(self, span: tuple[float, float]) -> bool:

@@ -219,7 +219,7 @@ Fields: TypeAlias = Any  # one record, as numba has it
 
 
 @jit
-def _jump(sender: Fields, seq: int) -> None:
+def _jump(sender: Fields, seq: int, clash: bool) -> None:
     received = sender.received
     distance = (seq - sender.next + 128) % 256 - 128  # signed, modulo 256
     sender.jumps += 1
@@ -229,7 +229,7 @@ def _jump(sender: Fields, seq: int) -> None:
             sender.reordered += 1
             sender.lost -= 1
         else:
-            sender.duplicated += 1
+            sender.duplicated += not clash
         sender.missed[seq] = 0
         return
     if distance > 0:
@@ -291,10 +291,10 @@ def _hear(
             continue
         else:
             near = (sender.next - seq) % 256 <= CLASH and sender.sums[seq] != 0 and sender.sums[seq] != checksum
-            if near and not (sender.missed[seq] and sender.received + 1 - sender.missed[seq] <= WINDOW):
-                sender.clashes += 1
-                sender.contested[seq] = 1
-            _jump(sender, seq)
+            clash = near and not (sender.missed[seq] and sender.received + 1 - sender.missed[seq] <= WINDOW)
+            sender.clashes += clash
+            sender.contested[seq] = max(sender.contested[seq], int(clash))
+            _jump(sender, seq, clash)
         sender.sums[seq], sender.times[seq] = checksum, frame.host_ns
         sender.received += 1
         seen[places[frame.sender] - 1, frame.row] += 1

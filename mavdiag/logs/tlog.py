@@ -10,7 +10,7 @@ import os
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from itertools import chain, repeat
+from itertools import chain, compress, repeat
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from mavdiag.airframe.vehicle_type import refusal
 from mavdiag.errors import InputError
-from mavdiag.link.codec import STAMP_BYTES, Decoder, Frame, Frames
+from mavdiag.link.clock import LEAPS
+from mavdiag.link.codec import AUTOPILOT, STAMP_BYTES, Decoder, Frame, Frames
 from mavdiag.link.datagrams import Bytes
 from mavdiag.link.messages import MessageId
 from mavdiag.link.parameters import parameters_in
@@ -31,6 +32,7 @@ from mavdiag.storage import Column, forget, open_regular
 from mavdiag.telemetry import EARLIEST_NS, Log, Telemetry
 
 PIECE_BYTES = 8 << 20  # of a file that is read at a time, of a longer one half: 5 min at 100 Hz (our choice)
+CLASHING = 0.01  # of the frames: more are no damage (our choice)
 DAMAGED_SHARE = 0.5  # of the bytes: beyond it what was lost is not known (our choice)
 
 _WANTED = frozenset({*IMU_MESSAGES, MessageId.PARAM_VALUE}).union(
@@ -79,10 +81,12 @@ class TlogContent:
     @property
     def notes(self) -> tuple[str, ...]:
         """What is wrong with the file, one sentence each."""
-        inner = self.damaged_bytes - self.trailing_bytes
-        damaged = f"{inner} bytes are damaged and were skipped" if inner else ""
+        damaged = f"{(inner := self.damaged_bytes - self.trailing_bytes)} bytes are damaged and were skipped"
         cut = f"it ends within a record, {self.trailing_bytes} bytes are lost: the recording was cut off"
-        return tuple(note for note in (damaged, cut if self.trailing_bytes else "") if note)
+        pilots = (one for (_, component), one in self.senders.items() if component == AUTOPILOT)
+        two = max(((one.clashes + one.restarts) / one.received for one in pilots), default=0.0)
+        both = f"numbers of {100 * two:.0f} % of the frames clash: two vehicles of one id, or two links, are in it"
+        return tuple(compress((damaged, both, cut), (inner, two > CLASHING, self.trailing_bytes)))
 
 
 def tlog_record(time_us: int, frame: bytes) -> bytes:
@@ -164,9 +168,10 @@ def _flights(path: Path, profile: str | None, vehicle: int | None, *, several: b
         parameters, state = parameters_in(content.parameters[sysid], known.autopilot), SampleState()
         state.take_parameters(parameters)
         telemetry = joined(_converted(path, pieces, content.latest, sysid, decoder, state))
-        name, notes = path.name if len(sysids) == 1 else f"{path.name} vehicle {sysid}", (*content.notes, *left_out)
+        name = path.name if len(sysids) == 1 else f"{path.name} vehicle {sysid}"
+        leaps = [f"{n} samples are left out: their stamps leap"] if (n := state.timeline.leaps) >= LEAPS else []
         begins_ns = min((int(series.host_ns[0]) for series in telemetry if len(series)), default=0)
-        started_ns = begins_ns if begins_ns > EARLIEST_NS else 0
+        started_ns, notes = begins_ns if begins_ns > EARLIEST_NS else 0, (*content.notes, *left_out, *leaps)
         named = (name, digest.hexdigest(), known.name, telemetry, started_ns, notes, parameters)
         yield Log(*named, mav_type=types.get(sysid), vehicle=sysid)
 

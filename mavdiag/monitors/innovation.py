@@ -217,15 +217,11 @@ class _Pairs(NamedTuple):
 
 def _training_pairs(flights: Flights) -> list[_Pairs]:
     """Of each segment of all flights the first rows, so many that a like share of what is commanded is in them."""
-    each = of_each(flights, "commanded rows", lambda flight: [*map(_commanded, segments(flight))])
-    counts = [count for one in each for count in one]
+    found = of_each(flights, "told rows", lambda one: [[r.rates.commanded.sum() for r in s] for s in segments(one)])
+    counts = [int(sum(parts)) for one in found for parts in one]
     shares = iter(cut_to_share(counts, TRAIN_ROWS, 0))  # of one flight after the other, so that one is in memory
     pairs = (pair for flight in flights for pair in zip(segments(flight), shares, strict=False))
     return [_pairs_of(segment, most) for segment, most in pairs if most]
-
-
-def _commanded(segment: Iterable[Rows]) -> int:
-    return sum(int(np.count_nonzero(rows.rates.commanded)) for rows in segment)
 
 
 def _pairs_of(segment: Iterable[Rows], most: int) -> _Pairs:

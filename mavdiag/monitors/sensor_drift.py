@@ -26,7 +26,8 @@ from mavdiag.units import G
 TICK_S = 0.1  # our choice
 MEAN_S = 2.0  # of the attitude that the gyro does not explain, now and then (our choice)
 LAG_S = 15.0  # between the two; less while the flight is young (our choice: twice a usual time constant of estimators)
-VERTICAL_S = 4.0  # of each of two means of the vertical acceleration (our choice)
+LEAP_S = 0.4  # in which an estimator that is reset moves, longer than a slow attitude's period (our choice)
+VERTICAL_S = 4.0  # of each of three means of the vertical acceleration (our choice)
 LATE_S = 0.02  # by which an attitude may be older than the gyro: a period of 50 Hz (our choice)
 TURN_SHARE = 0.01  # of a turn that a healthy gyro may be wrong by, scale and cross-axis (IIM-42652 data sheet: 1 %)
 # rad/s: change of a gyro's bias between flights that is no fault. The IIM-42652's data sheet has 0.005 deg/s a kelvin,
@@ -41,7 +42,7 @@ SINE, COSINE = (tuple(1.0 / math.factorial(k) for k in range(first, -1, -2)) for
 COLUMNS = 5  # of the history: tilt about two axes, heading, vertical acceleration, turned angle
 # Places in the parameters; and in the memory: rows of the tick and valid ones, sums of the tick (with what a bias is
 # multiplied by from `TURNED` on), angles since the last gap, ticks since then, the history of each column.
-DT, TICK, MEAN, LAG, LIFT, VERTICAL, BIAS, SPREADS = *range(7), 9
+DT, TICK, MEAN, LAG, LIFT, VERTICAL, BIAS, SPREADS, LEAP = *range(7), 9, 12
 ROWS, SOUND_ROWS, SUMS, TURNED, ANGLE, TICKS, HISTORY = 0, 1, 2, 10, 14, 18, 19
 OF_TICK = ANGLE - SUMS
 
@@ -117,8 +118,8 @@ def _mean(mem: Floats, newest: int, back: int, count: int) -> float:
 @jit
 def _walk(par: Floats, mem: Floats, whole: bool, found: Floats) -> bool:
     """Take a tick, whose means stand at `SUMS`: |dE|, |dY|, |V| and what is excused, e; whether they count."""
-    mean, lag, lift, span_s = int(par[MEAN]), int(par[LAG]), int(par[LIFT]), par[TICK] * par[DT]
-    length, newest = lag + 2 * mean + 1, HISTORY
+    mean, lag, lift, leap = int(par[MEAN]), int(par[LAG]), int(par[LIFT]), int(par[LEAP])
+    length, newest, span_s, tilt, turn = lag + 2 * mean + 1, HISTORY, par[TICK] * par[DT], 0.0, 0.0
     found[:] = 0.0
     if not whole:
         mem[ANGLE:HISTORY] = 0.0
@@ -132,21 +133,26 @@ def _walk(par: Floats, mem: Floats, whole: bool, found: Floats) -> bool:
         value = mem[ANGLE + 3] if j == 4 else mem[SUMS + 4 + j] - (mem[ANGLE + j] if j < 3 else par[VERTICAL])
         newest = shift(mem, HISTORY + j * (1 + 2 * length), length, value) + length - 1
     mem[TICKS] += 1.0
-    ticks, of = int(mem[TICKS]), 1 + 2 * length
-    newest -= (COLUMNS - 1) * of
+    ticks, of, newest = int(mem[TICKS]), 1 + 2 * length, newest - (COLUMNS - 1) * (1 + 2 * length)
     if ticks >= 2 * mean:
         apart = min(lag, ticks - mean)  # ticks between the windows
         north = _mean(mem, newest, 0, mean) - _mean(mem, newest, apart, mean)
         east = _mean(mem, newest + of, 0, mean) - _mean(mem, newest + of, apart, mean)
-        found[0] = math.hypot(north, east)
-        found[1] = abs(_mean(mem, newest + 2 * of, 0, mean) - _mean(mem, newest + 2 * of, apart, mean))
+        head = _mean(mem, newest + 2 * of, 0, mean) - _mean(mem, newest + 2 * of, apart, mean)
+        for k in range(newest - apart - mean + 3 * leap, newest + 1):
+            x = _mean(mem, k, 0, leap) - _mean(mem, k, 2 * leap, leap)
+            y = _mean(mem, k + of, 0, leap) - _mean(mem, k + of, 2 * leap, leap)
+            psi = _mean(mem, k + 2 * of, 0, leap) - _mean(mem, k + 2 * of, 2 * leap, leap)
+            tilt, turn = max(tilt, math.hypot(x, y)), max(turn, abs(psi))
+        found[0], found[1] = max(math.hypot(north, east) - tilt, 0.0), max(abs(head) - turn, 0.0)
         turned = _mean(mem, newest + 4 * of, 0, mean) - _mean(mem, newest + 4 * of, apart, mean)
         new, old = newest + 4 * of, newest + 4 * of - apart
         rates = mem[new] - mem[new - mean + 1] + mem[old] - mem[old - mean + 1]  # of both windows
         found[3] = TURN_SHARE * turned + apart * (USUAL_BIAS * span_s) + LATE_S / MEAN_S * rates
-    if ticks >= 2 * lift:
-        late, early = _mean(mem, newest + 3 * of, 0, lift), _mean(mem, newest + 3 * of, lift, lift)
-        found[2] = min(abs(late), abs(early)) if late * early > 0.0 else 0.0
+    if ticks >= 3 * lift:
+        late, early = _mean(mem, newest + 3 * of, 0, lift), _mean(mem, newest + 3 * of, 2 * lift, lift)
+        middle = _mean(mem, newest + 3 * of, lift, lift)
+        found[2] = min(abs(late), abs(middle), abs(early)) if min(late * middle, middle * early) > 0.0 else 0.0
     return ticks >= 2 * mean
 
 
@@ -196,14 +202,15 @@ class SensorDrift(Monitor[SensorDriftSpec]):
         V = g + specific force along the vertical of the attitude phi, theta, psi
         s = max( |dE|/(tilt + e), |dY|/(heading + e), |V|/lift ),    e = 0.01 R + 0.004 rad/s L + 0.02 s (r + r')
 
-    dE, dY: change of their 2 s means over L = 15 s, or over as much as there is since the last gap; R: angle that the
-    gyro turned in it; r, r': mean turning rate of each of the 2 s, for an attitude may come late. |V|: the smaller of
-    two 4 s means, one after the other, where both have the same sign, so that the start of a climb does not count.
+    |dE|, |dY|: change of their 2 s means over L = 15 s, or over as much as there is since the last gap, less the most
+    that their means of 0.4 s changed in 0.8 s: an estimator that is reset leaps, a drift does not. R: angle that the
+    gyro turned in it; r, r': mean turning rate of each of the 2 s, for an attitude may come late. |V|: the smallest of
+    three 4 s means, one after the other, where all have the same sign: the start of a climb may touch two of them.
 
-    Warm-up: 4 s without a gap, 8 s for V. Latency: a gyro bias of 0.05 rad/s takes 6 s, a drift of 0.002 rad/s^2 15 s,
-    a vertical bias of 0.5 m/s^2 6 s. False alarms: a mount that slips, cameras that jump. Blind spots: a gyro's scale,
-    unless the vehicle turns; a horizontal accelerometer bias below 1 m/s^2; what was there when the flight began;
-    attitudes beyond 40 degrees.
+    Warm-up: 4 s without a gap, 12 s for V. Latency: a gyro bias of 0.05 rad/s takes 6 s, a drift of 0.002 rad/s^2 16 s,
+    a vertical bias of 0.5 m/s^2 10 s. False alarms: an estimator that is reset again within 15 s. Blind spots: a gyro's
+    scale, unless the vehicle turns; a horizontal accelerometer bias below 1 m/s^2; what was there when the flight
+    began; attitudes beyond 40 degrees.
     """
 
     name = "sensor_drift"
@@ -237,8 +244,7 @@ class SensorDrift(Monitor[SensorDriftSpec]):
             count, squares = count + disagreement.shape[1], squares + np.square(disagreement[:3]).sum(axis=1)
         if not count:
             raise IdentificationError(f"no unbroken {2 * MEAN_S:g} s of flight; fly longer")
-        least = (LEAST_ANGLE, LEAST_ANGLE, LEAST_VERTICAL)
-        tilt, heading, lift = np.maximum(np.sqrt(squares / count), least).tolist()
+        tilt, heading, lift = np.maximum(np.sqrt(squares / count), (LEAST_ANGLE, LEAST_ANGLE, LEAST_VERTICAL)).tolist()
         return (replace(unbiased, tilt=tilt, heading=heading, lift=lift),)
 
     def period_s(self, dt_s: float) -> float:
@@ -248,9 +254,9 @@ class SensorDrift(Monitor[SensorDriftSpec]):
     def begin(self, dt_s: float) -> Begin:
         """No row yet."""
         spec, tick_s = self.spec, self.spec.tick * self.spec.dt_s
-        mean, lag, lift = (max(1, round(span_s / tick_s)) for span_s in (MEAN_S, LAG_S, VERTICAL_S))
+        mean, lag, lift, leap = (max(1, round(span_s / tick_s)) for span_s in (MEAN_S, LAG_S, VERTICAL_S, LEAP_S))
         spreads = spec.tilt, spec.heading, spec.lift
-        par = np.array([spec.dt_s, spec.tick, mean, lag, lift, spec.vertical, *spec.bias, *spreads])
+        par = np.array([spec.dt_s, spec.tick, mean, lag, lift, spec.vertical, *spec.bias, *spreads, leap])
         return Begin(par, np.zeros(HISTORY + COLUMNS * past_size(lag + 2 * mean + 1)))
 
 

@@ -3,8 +3,8 @@
 The gyro is the master. On a *native* grid every row is one of its samples, other signals are brought to its time, and
 lost samples become rows; on a *resampled* grid (uneven senders) all are interpolated to a fixed period. What is made
 up is not judged: a row inside a gyro gap longer than `max_gap_s`, or than a glitch leaves, and `SETTLE_GAP_S` after it,
-is invalid; a gap longer than `BREAK_S` starts a segment, whose first `SETTLE_START_S` are invalid (METHOD section 4).
-The set-point has the same limits and its own mark. Other signals are nan where no samples within their limit are near.
+is invalid; a gap above `BREAK_S` starts a segment, whose first `SETTLE_START_S` are invalid (METHOD section 4). The
+set-point has these limits and its own mark, and is nan in a gap above `BREAK_S`; others, where none is near enough.
 
 Samples may be out of order by up to `REORDER_S`; later ones and duplicates are dropped. A row waits that long, and for
 the next sample of an interpolated signal while it may count, so that the result does not depend on the chunks. On a
@@ -596,8 +596,8 @@ def _interpolate(s: Streams, place: int, rows: IntArray, x: FloatArray, before: 
         for column in range(s.firsts[place + 1] - s.firsts[place]):
             v, row = s.values[s.firsts[place] + column], FIRST[place] + column if column < 3 else col.DOUBT
             to = x[row, before + i : before + stop]
-            if since < 0 or (gap > limit_ns and place > SETPOINT):
-                to[:] = 0.0 if place == SETPOINT else np.nan
+            if since < 0 or gap > (limit_ns if place > SETPOINT else max(limit_ns, s.limits_ns[BREAK])):
+                to[:] = np.nan
             elif not angle and matches:
                 new = v[at:]
                 for k in range(len(to)):

@@ -93,7 +93,7 @@ class Block:
     first: int = 0
 
     rate = signal(Signal.BODY_RATE)
-    setpoint = signal(Signal.ATTITUDE_SETPOINT)  # 0 before the first, held in an outage; once rates are made, there 0
+    setpoint = signal(Signal.ATTITUDE_SETPOINT)  # nan before the first, in an outage; lean 0 once rates are made
     force = signal(Signal.SPECIFIC_FORCE)
     torque = signal(Signal.TORQUE_COMMAND)
     rate_setpoint = signal(Signal.RATE_SETPOINT)

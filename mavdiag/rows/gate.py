@@ -316,14 +316,15 @@ def hidden_flight(
     thrust, outputs, height = (_mean(telemetry.get(signal), bins, HELD_BINS) for signal in SHOWS_FLIGHT[1:4])
     armed, motion = _mean(telemetry.get(Signal.ARMED), bins, len(bins)), _motion(telemetry.get(Signal.BODY_RATE), bins)
     dead, moves = ~np.isfinite(motion), motion >= FLIES * _median(motion[flown])
-    down = outputs < FLIES * _median(outputs[flown])
-    low = thrust < (gate.min_thrust or 0.0)
-    off = (armed < 0.5) & gate.need_armed
-    driven = np.where(np.isfinite(outputs), ~down, moves)
+    told = _mean(
+        Telemetry(tuple(shows)).get(Signal.ACTUATOR), bins, HELD_BINS
+    )  # what idles does not change, nor is it 0
+    down = (told < FLIES * _median(told[flown])) & ((told > 0.0) | np.isfinite(outputs))
+    low, off = thrust < (gate.min_thrust or 0.0), (armed < 0.5) & gate.need_armed
     reasons = {
         "it reads disarmed while its thrust says that it flies": off & (thrust > 0) & ~low & ~down & (moves | dead),
         "no gyro": ~off & dead & ~low & ~down & ~(height < (gate.min_height_m or -np.inf)),
-        "its thrust reads 0 while it flies": ~off & ~dead & low & driven,
+        "its thrust reads 0 while it flies": ~off & ~dead & low & ~down & (np.isfinite(outputs) | moves),
     }
     found = []
     for reason, where in reasons.items():

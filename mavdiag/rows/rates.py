@@ -156,7 +156,8 @@ def _filter(s: RateState, weights: tuple[float, float, float], t_ns: IntArray, p
             x[WHOLE, i], x[COMMANDED, i], x[U : GYRO + 3, i] = 0.0, 0.0, np.nan
             continue
         made[number - first] = times[(rows + number + window - window // 2) % window]
-        x[U, i], x[U + 1, i], x[U + 2, i] = _turned(x[WHOLE, i], x[COMMANDED, i], x[U, i], x[U + 1, i], x[U + 2, i])
+        lean = _finite(x[WHOLE, i]), _finite(x[COMMANDED, i])  # 0 where it is not known, and so are the rates
+        x[U, i], x[U + 1, i], x[U + 2, i] = _turned(*lean, _finite(x[U, i]), _finite(x[U + 1, i]), _finite(x[U + 2, i]))
         x[WHOLE, i], x[COMMANDED, i] = mem[SOUND] >= window, mem[WANTED] >= window
     mem[ROWS] += len(t_ns)
 

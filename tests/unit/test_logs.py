@@ -31,12 +31,13 @@ from made_logs import (
     with_checksum,
 )
 from made_rows import example_rows
+from made_vehicle import MadeVehicle
 from pymavlink import mavutil
 from shared_data import written
 
 from mavdiag.errors import InputError
 from mavdiag.link.codec import UNKNOWN, Encoder
-from mavdiag.link.messages import MavType, MessageId
+from mavdiag.link.messages import Autopilot, MavType, MessageId
 from mavdiag.link.signing import Signing
 from mavdiag.logs import airframe_name_for, gate_for, kinds, read_log, read_part
 from mavdiag.logs.crazyflie import read_crazyflie
@@ -59,14 +60,8 @@ def read_made(path: Path, vehicle: int | None, profile: str | None) -> Log:
     return Log(path.name, "", "made-log", Telemetry((Series(Signal.BODY_RATE, t_ns, t_ns, values),)))
 
 
-MADE = LogKind(
-    "made",
-    lambda head: head.startswith(b"MADE"),
-    read_made,
-    ("made-log",),
-    GateSpec(min_height_m=1.0),
-    airframe_name="made",
-)
+HIGH = GateSpec(min_height_m=1.0)
+MADE = LogKind("made", lambda head: head.startswith(b"MADE"), read_made, ("made-log",), HIGH, airframe_name="made")
 
 
 def test_a_kind_of_log_is_added_by_one_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -93,10 +88,8 @@ CONTROLLER = ("roll", "pitch", "yaw", "r_roll", "r_pitch", "r_yaw", "cmd_yaw", "
 PID = CrazyflieEvent(65535, "fixedFrequency", tuple(f"controller.{name}(f)" for name in CONTROLLER))
 ODD = CrazyflieEvent(1, "x", ("pm.vbat(s)",))
 MARK = CrazyflieEvent(7, "activeMarkerModeChanged", ("mode(B)",))
-RECORDS = (
-    PID.record(1_000, 10.0, -20.0, 90.0, 0.1, 0.2, 0.3, 32767.0, 1.0, 65535.0),
-    PID.record(11_000, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
-)
+TURNED = PID.record(1_000, 10.0, -20.0, 90.0, 0.1, 0.2, 0.3, 32767.0, 1.0, 65535.0)
+RECORDS = (TURNED, PID.record(11_000, *np.zeros(9)))
 
 
 def test_units_and_signs_are_si_and_frd(tmp_path: Path) -> None:
@@ -460,16 +453,14 @@ def test_unusable_files_are_one_line(tmp_path: Path, reader: Callable[[Path], Lo
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize(("lost", "notes"), [(0, 0), (1, 1), (20, 1)])
-@pytest.mark.parametrize(
-    "content",
-    [
-        ulog([DELAYED], [sensors(1_000 * k) for k in range(1, 9)]),
-        dataflash([IMU], [imu(1_000 * k) for k in range(1, 9)]),
-        telemetry_log(1, 300),
-    ],
-    ids=["ulog", "dataflash", "tlog"],
+NINE = (
+    ulog([DELAYED], [sensors(1_000 * k) for k in range(1, 9)]),
+    dataflash([IMU], [imu(1_000 * k) for k in range(1, 9)]),
 )
+
+
+@pytest.mark.parametrize(("lost", "notes"), [(0, 0), (1, 1), (20, 1)])
+@pytest.mark.parametrize("content", [*NINE, telemetry_log(1, 300)], ids=["ulog", "dataflash", "tlog"])
 def test_r7_a_log_that_was_cut_off_says_so(tmp_path: Path, content: bytes, lost: int, notes: int) -> None:
     log = read(tmp_path, content[: len(content) - lost])
     assert len(log.notes) == notes
@@ -485,13 +476,11 @@ def records(sysid: int = 1, n: int = N, scale: int = 1000) -> list[bytes]:
     encoder, found = Encoder(sysid, 1), []
     for k in range(n):
         time_us = START_US + 10_000 * k
-        frames = [
-            encoder.encode(MessageId.ATTITUDE_TARGET, 5_000 + 10 * k, 0, (1.0, 0.001 * k, 0.0, 0.0), 0, 0, 0, 0.5),
-            encoder.encode(MessageId.RAW_IMU, 5_000_000 + 10_000 * k, k, 0, -scale, -k, 2, 3),
-            encoder.encode(MessageId.SYSTEM_TIME, time_us, 5_000 + 10 * k),
-        ]
-        if k % 100 == 0:
-            frames.append(heartbeat(encoder))
+        q, t_ms = (1.0, 0.001 * k, 0.0, 0.0), 5_000 + 10 * k
+        frames = [encoder.encode(MessageId.ATTITUDE_TARGET, t_ms, 0, q, 0, 0, 0, 0.5)]
+        frames.append(encoder.encode(MessageId.RAW_IMU, 1_000 * t_ms, k, 0, -scale, -k, 2, 3))
+        frames.append(encoder.encode(MessageId.SYSTEM_TIME, time_us, t_ms))
+        frames += [heartbeat(encoder)] if k % 100 == 0 else []
         found += [tlog_record(time_us, frame) for frame in frames]
     return found
 
@@ -551,6 +540,18 @@ def test_what_cannot_be_read_says_why(tmp_path: Path, data: bytes, words: str) -
     assert "\n" not in str(caught.value)
     if "--profile" in words:
         assert read_log(path, profile="ardupilot").profile == "ardupilot"
+
+
+@pytest.mark.parametrize(("ahead", "notes"), [(0, ["clash"]), (30, ["leap"]), (700, ["clash", "leap"])])
+def test_two_vehicles_of_one_id_are_told(ahead: int, notes: list[str], tmp_path: Path) -> None:
+    ours, theirs = (MadeVehicle(1, Autopilot.ARDUPILOTMEGA) for _ in range(2))
+    theirs.samples(ahead or 1)
+    theirs.sent = ahead
+    both = [frame for _ in range(400) for frame in (*ours.samples(1), *theirs.samples(1))]
+    data = b"".join(tlog_record(START_US + 2000 * k, frame) for k, frame in enumerate(both))
+    found = read_tlog(written(tmp_path / "two.tlog", data))
+    assert found.profile == "ardupilot"
+    assert [word for note in found.notes for word in ("clash", "leap") if word in note] == notes
 
 
 def test_each_vehicle_of_several_is_read_in_one_pass(tmp_path: Path) -> None:

@@ -36,7 +36,7 @@ from mavdiag.airframe.fingerprint import Figure, Fingerprint
 from mavdiag.airframe.layout import layout_named
 from mavdiag.baseline import Baseline
 from mavdiag.chain import chain_of
-from mavdiag.decision.diagnosis import Change, Stage
+from mavdiag.decision.diagnosis import Change, Diagnosis, Stage
 from mavdiag.errors import BaselineError
 from mavdiag.link.messages import Autopilot, MavCmd, MavResult, MessageId, Severity
 from mavdiag.link.profiles import LAST_RESORT, PROFILES
@@ -250,8 +250,10 @@ def test_c1_a_vehicle_that_flies_and_is_not_judged_is_told(reason: str) -> None:
     judge = story.state.judge
     assert judge is not None
     judge.judged = Instant(0)  # what judges is none of those that decide
-    story.state._idle(judge, story.now)
-    assert story.state.reason == "monitoring: nothing judged yet"
+    for held in (judge.memory.diagnosis, Diagnosis(reason="not flying")):  # until now, for it has just taken off
+        judge.chain.renew(judge.memory, held)
+        story.state._idle(judge, story.now)
+        assert story.state.reason == "monitoring: propellers not judged"
     later = [one.text for one in story.fly(10.0) if isinstance(one, SendText)]
     assert not any("not judged: it" in text for text in later)
 
