@@ -106,8 +106,7 @@ def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats
         if ended:
             trim.take_tick(par, mem, mem[trim.KNOWN] > 0.5 and x[COVERED, begin - 1] > 0.5)
             trim.write(par, mem, shift, _take_window(par, mem, shift, before), out, rotors, k)
-            at[k] = begin - 1 - first
-            k += 1
+            at[k], k = begin - 1 - first, k + 1
     return k
 
 
@@ -149,8 +148,7 @@ class TrimStep(trim.TrimMonitor[TrimStepSpec]):
     @classmethod
     def spread(cls, flights: Sequence[Sequence[FloatArray]], mean: Three) -> Three:
         """Of healthy shifts within flights, in which no session's load counts."""
-        walked = [segment for flight in flights for segment in flight]
-        shifts = [segment[TRACE + trim.SHIFT :, segment[SOUND] > 0.5] for segment in walked]
+        shifts = [one[TRACE + trim.SHIFT :, one[SOUND] > 0.5] for flight in flights for one in flight]
         found = np.concatenate([np.empty((3, 0)), *shifts], axis=1).T
         if len(found) == 0:
             raise IdentificationError(f"no unbroken {2 * trim.WINDOW_S:g} s of flight to compare trims in; fly longer")
