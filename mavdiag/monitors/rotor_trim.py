@@ -329,8 +329,7 @@ def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats
         for j in range(LIFT):
             shift[j] = shift[j] - par[MEAN + j] if sound else 0.0  # behind mean is about
         write(par, mem, shift, sound, out, rotors, k)
-        at[k] = begin - 1 - first
-        k += 1
+        at[k], k = begin - 1 - first, k + 1
     return k
 
 

@@ -26,7 +26,7 @@ from mavdiag.units import G
 TICK_S = 0.1  # our choice
 MEAN_S = 2.0  # of the attitude that the gyro does not explain, now and then (our choice)
 LAG_S = 15.0  # between the two; less while the flight is young (our choice: twice a usual time constant of estimators)
-LEAP_S = 0.4  # in which an estimator that is reset moves, longer than a slow attitude's period (our choice)
+STEP = 4  # ticks that a reset of the attitude takes where it comes at 4 Hz (our choice)
 VERTICAL_S = 4.0  # of each of three means of the vertical acceleration (our choice)
 LATE_S = 0.02  # by which an attitude may be older than the gyro: a period of 50 Hz (our choice)
 TURN_SHARE = 0.01  # of a turn that a healthy gyro may be wrong by, scale and cross-axis (IIM-42652 data sheet: 1 %)
@@ -42,7 +42,7 @@ SINE, COSINE = (tuple(1.0 / math.factorial(k) for k in range(first, -1, -2)) for
 COLUMNS = 5  # of the history: tilt about two axes, heading, vertical acceleration, turned angle
 # Places in the parameters; and in the memory: rows of the tick and valid ones, sums of the tick (with what a bias is
 # multiplied by from `TURNED` on), angles since the last gap, ticks since then, the history of each column.
-DT, TICK, MEAN, LAG, LIFT, VERTICAL, BIAS, SPREADS, LEAP = *range(7), 9, 12
+DT, TICK, MEAN, LAG, LIFT, VERTICAL, BIAS, SPREADS = *range(7), 9
 ROWS, SOUND_ROWS, SUMS, TURNED, ANGLE, TICKS, HISTORY = 0, 1, 2, 10, 14, 18, 19
 OF_TICK = ANGLE - SUMS
 
@@ -93,14 +93,12 @@ def _add_rows(mem: Floats, x: Floats, begin: int, stop: int) -> None:
         turn = (q * sin_phi + r * cos_phi) / cos_theta
         mem[SUMS] += p * c - q * s
         mem[SUMS + 1] += p * s + q * c
-        mem[SUMS + 2] += turn
-        mem[SUMS + 3] += abs(turn)
+        mem[SUMS + 2], mem[SUMS + 3] = mem[SUMS + 2] + turn, mem[SUMS + 3] + abs(turn)
         mem[SUMS + 4] += phi * c - theta * s
         mem[SUMS + 5] += phi * s + theta * c
         mem[SUMS + 6] += psi
         mem[SUMS + 7] += cos_theta * (sin_phi * ay + cos_phi * az) - sin_theta * ax + G
-        mem[TURNED] += c
-        mem[TURNED + 1] += s
+        mem[TURNED], mem[TURNED + 1] = mem[TURNED] + c, mem[TURNED + 1] + s
         mem[TURNED + 2] += sin_phi / cos_theta
         mem[TURNED + 3] += cos_phi / cos_theta
         mem[SOUND_ROWS] += 1.0
@@ -116,10 +114,22 @@ def _mean(mem: Floats, newest: int, back: int, count: int) -> float:
 
 
 @jit
+def _drifted(mem: Floats, newest: int, apart: int, mean: int, excused: float) -> float:
+    """By how much the mean of a column has changed; beyond what is excused without a step that is most of it."""
+    change = _mean(mem, newest, 0, mean) - _mean(mem, newest, apart, mean)
+    least, last = abs(change), apart + mean - 1
+    for middle in range(last if abs(change) > excused else 0):
+        sides = min(middle + 1, mean) - max(middle + 1 - apart, 0)  # ticks of the two means between which it lies
+        step = mem[newest - max(middle - 2, 0)] - mem[newest - min(middle - 2 + STEP, last)]
+        least = min(least, abs(change - sides / mean * step))
+    return least if 2.0 * least < abs(change) else abs(change)
+
+
+@jit
 def _walk(par: Floats, mem: Floats, whole: bool, found: Floats) -> bool:
     """Take a tick, whose means stand at `SUMS`: |dE|, |dY|, |V| and what is excused, e; whether they count."""
-    mean, lag, lift, leap = int(par[MEAN]), int(par[LAG]), int(par[LIFT]), int(par[LEAP])
-    length, newest, span_s, tilt, turn = lag + 2 * mean + 1, HISTORY, par[TICK] * par[DT], 0.0, 0.0
+    mean, lag, lift, span_s = int(par[MEAN]), int(par[LAG]), int(par[LIFT]), par[TICK] * par[DT]
+    length, newest = lag + 2 * mean + 1, HISTORY
     found[:] = 0.0
     if not whole:
         mem[ANGLE:HISTORY] = 0.0
@@ -136,19 +146,13 @@ def _walk(par: Floats, mem: Floats, whole: bool, found: Floats) -> bool:
     ticks, of, newest = int(mem[TICKS]), 1 + 2 * length, newest - (COLUMNS - 1) * (1 + 2 * length)
     if ticks >= 2 * mean:
         apart = min(lag, ticks - mean)  # ticks between the windows
-        north = _mean(mem, newest, 0, mean) - _mean(mem, newest, apart, mean)
-        east = _mean(mem, newest + of, 0, mean) - _mean(mem, newest + of, apart, mean)
-        head = _mean(mem, newest + 2 * of, 0, mean) - _mean(mem, newest + 2 * of, apart, mean)
-        for k in range(newest - apart - mean + 3 * leap, newest + 1):
-            x = _mean(mem, k, 0, leap) - _mean(mem, k, 2 * leap, leap)
-            y = _mean(mem, k + of, 0, leap) - _mean(mem, k + of, 2 * leap, leap)
-            psi = _mean(mem, k + 2 * of, 0, leap) - _mean(mem, k + 2 * of, 2 * leap, leap)
-            tilt, turn = max(tilt, math.hypot(x, y)), max(turn, abs(psi))
-        found[0], found[1] = max(math.hypot(north, east) - tilt, 0.0), max(abs(head) - turn, 0.0)
         turned = _mean(mem, newest + 4 * of, 0, mean) - _mean(mem, newest + 4 * of, apart, mean)
         new, old = newest + 4 * of, newest + 4 * of - apart
         rates = mem[new] - mem[new - mean + 1] + mem[old] - mem[old - mean + 1]  # of both windows
         found[3] = TURN_SHARE * turned + apart * (USUAL_BIAS * span_s) + LATE_S / MEAN_S * rates
+        north = _drifted(mem, newest, apart, mean, found[3])
+        found[0] = math.hypot(north, _drifted(mem, newest + of, apart, mean, found[3]))
+        found[1] = _drifted(mem, newest + 2 * of, apart, mean, found[3])
     if ticks >= 3 * lift:
         late, early = _mean(mem, newest + 3 * of, 0, lift), _mean(mem, newest + 3 * of, 2 * lift, lift)
         middle = _mean(mem, newest + 3 * of, lift, lift)
@@ -163,8 +167,7 @@ def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats
     while begin < columns:
         stop = min(begin + tick - int(mem[ROWS]), columns)
         _add_rows(mem, x, begin, stop)
-        mem[ROWS] += stop - begin
-        begin = stop
+        mem[ROWS], begin = mem[ROWS] + stop - begin, stop
         if mem[ROWS] < tick:
             break
         whole = mem[SOUND_ROWS] >= tick
@@ -176,8 +179,7 @@ def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats
         mem[:ANGLE] = 0.0
         angle = max(found[0] / (par[SPREADS] + found[3]), found[1] / (par[SPREADS + 1] + found[3]))
         value = min(max(angle, found[2] / par[SPREADS + 2]), LIMIT)
-        out[VALUE, k], out[LEVEL, k], at[k] = value, value, stop - 1 - first
-        k += 1
+        out[VALUE, k], out[LEVEL, k], at[k], k = value, value, stop - 1 - first, k + 1
     return k
 
 
@@ -188,8 +190,7 @@ def _again(par: Floats, mem: Floats, ticks: Floats) -> Floats:
     for k in range(len(ticks)):
         if ticks[k, OF_TICK] == 0.0:  # the first one behind a gap
             _walk(par, mem, False, out[k, :4])
-        for j in range(OF_TICK):
-            mem[SUMS + j] = ticks[k, j]
+        mem[SUMS:ANGLE] = ticks[k, :OF_TICK]
         out[k, 4] = _walk(par, mem, True, out[k, :4])
     return out
 
@@ -202,13 +203,12 @@ class SensorDrift(Monitor[SensorDriftSpec]):
         V = g + specific force along the vertical of the attitude phi, theta, psi
         s = max( |dE|/(tilt + e), |dY|/(heading + e), |V|/lift ),    e = 0.01 R + 0.004 rad/s L + 0.02 s (r + r')
 
-    |dE|, |dY|: change of their 2 s means over L = 15 s, or over as much as there is since the last gap, less the most
-    that their means of 0.4 s changed in 0.8 s: an estimator that is reset leaps, a drift does not. R: angle that the
-    gyro turned in it; r, r': mean turning rate of each of the 2 s, for an attitude may come late. |V|: the smallest of
-    three 4 s means, one after the other, where all have the same sign: the start of a climb may touch two of them.
+    dE, dY: change of their 2 s means over L = 15 s, or since the last gap, without a step in 0.4 s that is most of it:
+    an estimator was reset; R: angle that the gyro turned in it; r, r': mean turning rate of each of the 2 s, for an
+    attitude may come late. |V|: the smallest of three 4 s means in a row, 0 if their signs differ: a climb begins.
 
-    Warm-up: 4 s without a gap, 12 s for V. Latency: a gyro bias of 0.05 rad/s takes 6 s, a drift of 0.002 rad/s^2 16 s,
-    a vertical bias of 0.5 m/s^2 10 s. False alarms: an estimator that is reset again within 15 s. Blind spots: a gyro's
+    Warm-up: 4 s without a gap, 12 s for V. Latency: a gyro bias of 0.05 rad/s takes 6 s, a drift of 0.002 rad/s^2 15 s,
+    a vertical bias of 0.5 m/s^2 10 s. False alarms: resets and jumps twice in 15 s. Blind spots: a gyro's
     scale, unless the vehicle turns; a horizontal accelerometer bias below 1 m/s^2; what was there when the flight
     began; attitudes beyond 40 degrees.
     """
@@ -254,9 +254,9 @@ class SensorDrift(Monitor[SensorDriftSpec]):
     def begin(self, dt_s: float) -> Begin:
         """No row yet."""
         spec, tick_s = self.spec, self.spec.tick * self.spec.dt_s
-        mean, lag, lift, leap = (max(1, round(span_s / tick_s)) for span_s in (MEAN_S, LAG_S, VERTICAL_S, LEAP_S))
+        mean, lag, lift = (max(1, round(span_s / tick_s)) for span_s in (MEAN_S, LAG_S, VERTICAL_S))
         spreads = spec.tilt, spec.heading, spec.lift
-        par = np.array([spec.dt_s, spec.tick, mean, lag, lift, spec.vertical, *spec.bias, *spreads, leap])
+        par = np.array([spec.dt_s, spec.tick, mean, lag, lift, spec.vertical, *spec.bias, *spreads])
         return Begin(par, np.zeros(HISTORY + COLUMNS * past_size(lag + 2 * mean + 1)))
 
 
@@ -272,18 +272,13 @@ def _biases(flight: Sequence[Rows], tick: int) -> FloatArray:
     for begins, block in ((begins, rows.block) for begins, rows in parted(flight)):
         fresh = np.vstack((block.rate.T, block.force.T, block.attitude.T, block.valid))
         rows = np.asarray(fresh if begins else np.concatenate((rest, fresh), axis=1), dtype=np.float64)
-        n = rows.shape[1] // tick * tick
-        found.append(_gyro_errors(rows[:, :n], tick, block.dt_s))
-        rest = rows[:, n:]
+        rows, rest = np.split(rows, [rows.shape[1] // tick * tick], axis=1)
+        known = (rows[9] > 0) & np.isfinite(rows).all(axis=0)
+        known &= (np.abs(rows[6:8]) < STEEP_RAD).all(axis=0) & (np.abs(rows[:3]) < FAST_RAD_S).all(axis=0)
+        ticks = np.compress(known.reshape(-1, tick).all(axis=1), rows[:9].reshape(9, -1, tick), axis=1)
+        mean, (x, y, z, phi, theta, _) = ticks.mean(axis=2), ticks[3:]
+        slopes = (ticks[6:, :, -1] - ticks[6:, :, 0]) / (max(1, tick - 1) * block.dt_s)
+        down = np.cos(theta) * (np.sin(phi) * y + np.cos(phi) * z) - np.sin(theta) * x
+        errors = (mean[:3] - body_rates(mean[6], mean[7], *slopes)).T
+        found.append(np.column_stack((errors, (down + G).mean(axis=1))))
     return np.concatenate(found)
-
-
-def _gyro_errors(rows: FloatArray, tick: int, dt_s: float) -> FloatArray:
-    """(n, 4) of rows of gyro, accelerometer, attitude and validity, (10, n tick)."""
-    known = (rows[9] > 0) & np.isfinite(rows).all(axis=0)
-    known &= (np.abs(rows[6:8]) < STEEP_RAD).all(axis=0) & (np.abs(rows[:3]) < FAST_RAD_S).all(axis=0)
-    ticks = np.compress(known.reshape(-1, tick).all(axis=1), rows[:9].reshape(9, -1, tick), axis=1)
-    mean, (x, y, z, phi, theta, _) = ticks.mean(axis=2), ticks[3:]
-    slopes = (ticks[6:, :, -1] - ticks[6:, :, 0]) / (max(1, tick - 1) * dt_s)
-    down = np.cos(theta) * (np.sin(phi) * y + np.cos(phi) * z) - np.sin(theta) * x
-    return np.column_stack(((mean[:3] - body_rates(mean[6], mean[7], *slopes)).T, (down + G).mean(axis=1)))

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 import mavdiag.monitors.rotor_trim as trim
-from mavdiag.airframe.trim import spread_of
+from mavdiag.airframe.trim import BESIDE, spread_of
 from mavdiag.errors import IdentificationError
 from mavdiag.jit import cached, jit
 from mavdiag.monitors.base import Flights
@@ -80,16 +80,15 @@ def _take_window(par: Floats, mem: Floats, shift: Floats, before: Floats) -> boo
     share = _share(par, mem, shift)
     for j in range(3):
         shift[j] -= share * mem[BACK + j]
-    if max(trim.best_rise(par, shift), trim.best_rise(par, before)) <= HOLD:
-        fastest = par[MOST]
+    mem[HELD] = mem[HELD] + par[TICK_S] if max(trim.best_rise(par, shift), trim.best_rise(par, before)) > HOLD else 0.0
+    if mem[HELD] == 0.0:
+        fastest, early, late = par[MOST], BESIDE * before[trim.LIFT], BESIDE * shift[trim.LIFT]
+        carried = min(abs(early), abs(late)) > HOLD >= abs(late - early)
         for j in (0, 1, 2, trim.LIFT):
             fastest = max(fastest, abs(before[j]) * par[FOLLOW])
         for j in range(trim.MEANS):  # what a load moves together goes back together
-            mem[REFERENCE + j] += before[j] * par[FOLLOW] * par[MOST] / fastest
-        mem[HELD] = 0.0
-    elif mem[HELD] < HOLD_S:
-        mem[HELD] += par[TICK_S]
-    else:
+            mem[REFERENCE + j] += shift[j] if carried else before[j] * par[FOLLOW] * par[MOST] / fastest
+    elif mem[HELD] > HOLD_S:
         for j in range(trim.MEANS):
             mem[REFERENCE + j] += before[j]
         for j in range(3):
@@ -107,8 +106,7 @@ def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats
         if ended:
             trim.take_tick(par, mem, mem[trim.KNOWN] > 0.5 and x[COVERED, begin - 1] > 0.5)
             trim.write(par, mem, shift, _take_window(par, mem, shift, before), out, rotors, k)
-            at[k] = begin - 1 - first
-            k += 1
+            at[k], k = begin - 1 - first, k + 1
     return k
 
 
@@ -120,6 +118,7 @@ class TrimStep(trim.TrimMonitor[TrimStepSpec]):
         b_j = max(0, min(g_j, n l) - 3 s_j)/(1 - 3 s_j/(n l)),    n: rotors,    l = ln(o/o_ref),    s_j: sd of g_j
         g_j = (c_j . d - |c_j x d|)/|c_j|^2 of roll and pitch alone,    d = m - m_ref
         m_ref <- m_ref + (m(t - 5 s) - m_ref) dt/30 s, at most 0.0003 dt,    while both are within 0.012
+        m_ref <- m, o_ref <- o,    if 0.3 l is above 0.012 in both, and differs by no more: a load that stays
         var(m_roll), var(m_pitch): their spread^2 + (0.3 ln(o/o_ref))^2,    o: mean output, which has a reference, too
 
     A load shifts roll and pitch by its weight, which o shows, times its place, usually 0.3 of the rotors' distance; a
@@ -130,12 +129,12 @@ class TrimStep(trim.TrimMonitor[TrimStepSpec]):
     A shift that stays for two minutes of judged flight becomes the reference. From then on, and where a flight begins
     with more than a session explains, what leads back to where the trim was healthy does not count: m - m_ref is taken
     from the nearest point of the way there, so that a repair in flight is no fault of the other rotors. `level` equals
-    the statistic. `rotors` are the a_j by the spreads as they are: a session's load is in m and m_ref alike; but
-    drag may change apart from thrust, by as much (sd), so that a blade with more of it names no other rotor.
+    the statistic. `rotors` are the a_j by the spreads as they are: a load is in m and m_ref alike; but drag may
+    change apart from thrust, by as much (sd), so that a blade with more of it names no other rotor.
 
     Warm-up: 10 s of unbroken valid flight as the envelope covers it. Latency: up to 5.5 s. False alarms: a load that is
     hung under one rotor, or slips. Blind spots: damage that was there at take-off (the rotor-trim monitor sees it) or
-    grows slowly, what yaw does not show for minutes after a heavy load came or went, and hops shorter than 10 s.
+    grows slowly, what yaw does not show for 10 s after a load came or went, and hops shorter than 10 s.
     """
 
     name = "trim_step"
@@ -149,8 +148,7 @@ class TrimStep(trim.TrimMonitor[TrimStepSpec]):
     @classmethod
     def spread(cls, flights: Sequence[Sequence[FloatArray]], mean: Three) -> Three:
         """Of healthy shifts within flights, in which no session's load counts."""
-        walked = [segment for flight in flights for segment in flight]
-        shifts = [segment[TRACE + trim.SHIFT :, segment[SOUND] > 0.5] for segment in walked]
+        shifts = [one[TRACE + trim.SHIFT :, one[SOUND] > 0.5] for flight in flights for one in flight]
         found = np.concatenate([np.empty((3, 0)), *shifts], axis=1).T
         if len(found) == 0:
             raise IdentificationError(f"no unbroken {2 * trim.WINDOW_S:g} s of flight to compare trims in; fly longer")
