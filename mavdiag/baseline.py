@@ -37,7 +37,7 @@ from mavdiag.rows.grid import NATIVE_TOLERANCE, rate_tolerance
 from mavdiag.rows.quality import LinkQuality
 from mavdiag.storage import read_text, write_atomically
 from mavdiag.tabular import Tabular
-from mavdiag.telemetry import Signal, Three
+from mavdiag.telemetry import EARLIEST_NS, Signal, Three
 from mavdiag.thresholds.envelope import Covered
 from mavdiag.thresholds.rule import GUARANTEE_FLIGHTS, Threshold, ThresholdRule
 from mavdiag.units import NS_PER_S
@@ -209,10 +209,10 @@ class Baseline(Part, Tabular):
         return max(one.propellers for one in self.provenance.logs)
 
     def same_session(self, started_ns: int) -> bool:
-        """Whether a flight that began then [ns, unix epoch; 0: not known, and so no] is of a session with the present
-        propellers."""
-        times = [one.started_ns for one in self.provenance.logs if one.propellers == self.propellers and one.started_ns]
-        return bool(started_ns) and any(abs(started_ns - t_ns) <= SESSION_GAP_NS for t_ns in times)
+        """Whether a flight that began then [ns, unix epoch; 0, or a clock that was never set: no] is of a session with
+        the present propellers."""
+        times = [one.started_ns for one in self.provenance.logs if one.propellers == self.propellers]
+        return started_ns > EARLIEST_NS and any(abs(started_ns - t_ns) <= SESSION_GAP_NS for t_ns in times)
 
     @property
     def supported(self) -> bool:

@@ -36,7 +36,7 @@ class FlightRecord:
     """What is kept of a judged flight; verdict, reason, judged_s as in `LogVerdict`.
 
     content: the hash of its file, and the vehicle in it. baseline: digest of the one that judged it.
-    started_ns, added_ns: of its first record (0 if unknown) and of its judging, unix epoch [ns].
+    started_ns, added_ns: of its first sample (0 if unknown) and of its judging, unix epoch [ns].
     rotor_trim: rise of each rotor's command, median over the flight [fraction of hover]; empty where it was not judged.
     trim: of the whole flight by roll, pitch and yaw (`TrimMonitor.whole`) [fraction of hover]; empty if unknown.
     """

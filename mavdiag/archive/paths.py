@@ -75,20 +75,20 @@ def _hidden(path: Path, pattern: Path) -> bool:
 
 def _below(path: Path, seen: set[tuple[int, int]], is_log: IsLog) -> Iterator[Named | None]:
     """The logs that a file or folder is or has, by name; None for a file that is none. An unreadable one may be."""
-    if not path.is_dir():
-        try:
-            yield Named(path) if path.is_file() and path.stat().st_size and is_log(path) else None
-        except (InputError, OSError):
-            yield Named(path)
-        return
     try:
+        if not path.is_dir():
+            yield Named(path) if path.is_file() and path.stat().st_size and is_log(path) else None
+            return
         about = path.stat()
         if (about.st_dev, about.st_ino) in seen:
             return
         seen.add((about.st_dev, about.st_ino))
         inside = sorted(entry for entry in path.iterdir() if not entry.name.startswith("."))
+    except InputError:
+        yield Named(path)
+        return
     except OSError as error:
-        yield Named(path, f"the folder cannot be read ({error.strerror or error})")
+        yield Named(path, f"cannot be read ({error.strerror or error})")
         return
     for entry in inside:
         yield from _below(entry, seen, is_log)

@@ -25,7 +25,7 @@ from mavdiag.rows.grid import median_step, rate_tolerance
 from mavdiag.rows.rates import RateSpec
 from mavdiag.rows.savgol import window_samples
 from mavdiag.storage import Arrays, Shelf
-from mavdiag.telemetry import Log, Series, Signal, Telemetry
+from mavdiag.telemetry import EARLIEST_NS, Log, Series, Signal, Telemetry
 from mavdiag.thresholds.heldout import Looks
 from mavdiag.units import NS_PER_S
 
@@ -236,7 +236,7 @@ def sessions_of(flights: Sequence[Log | SourceLog], told: int | None = None) -> 
     """The session of each flight, numbered from 0: flights an hour apart by the wall clock are of two sessions.
 
     told: how many sessions there were, in equal parts and in the order of the flights. Without it a flight whose time
-    is not known counts as a session of its own.
+    is not known, or was never set, counts as a session of its own.
     """
     if told is not None:
         return [i * min(told, len(flights)) // len(flights) for i in range(len(flights))]
@@ -244,6 +244,6 @@ def sessions_of(flights: Sequence[Log | SourceLog], told: int | None = None) -> 
     found, number, last_ns = [0] * len(flights), -1, 0
     for i in order:
         started_ns = flights[i].started_ns
-        number += not started_ns or not last_ns or started_ns - last_ns > SESSION_GAP_NS
+        number += last_ns <= EARLIEST_NS or started_ns - last_ns > SESSION_GAP_NS
         found[i], last_ns = number, started_ns
     return found

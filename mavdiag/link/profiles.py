@@ -88,8 +88,8 @@ class Evidence:
     @property
     def period_us(self) -> float:
         """Median period of RAW_IMU, whose frames may come twice; NaN without it."""
-        steps = np.diff(np.unique(self._raw["time_usec"].astype(np.int64)))
-        return float(np.median(steps)) if len(steps) else float("nan")
+        steps = np.diff(self._raw["time_usec"].astype(np.int64))
+        return float(np.median(steps[steps > 0])) if (steps > 0).any() else float("nan")
 
     def weighs(self, span: tuple[float, float]) -> bool:
         """Whether one g is within this span of counts."""

@@ -65,7 +65,7 @@ def read_part(
         part = between(log.telemetry, from_s, to_s)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-    return replace(log, name=str(path), telemetry=part, started_ns=log.epoch_ns and log.epoch_ns + part.first_ns)
+    return replace(log, name=str(path), telemetry=part, started_ns=log.started_ns and log.epoch_ns + part.first_ns)
 
 
 def between(telemetry: Telemetry, from_s: float | None, to_s: float | None) -> Telemetry:

@@ -86,8 +86,8 @@ def _take_window(par: Floats, mem: Floats, shift: Floats, before: Floats) -> boo
         carried = min(abs(early), abs(late)) > HOLD >= abs(late - early)
         for j in (0, 1, 2, trim.LIFT):
             fastest = max(fastest, abs(before[j]) * par[FOLLOW])
-        for j in range(trim.MEANS):  # what a load moves together goes back together
-            mem[REFERENCE + j] += shift[j] if carried else before[j] * par[FOLLOW] * par[MOST] / fastest
+        for j in range(trim.MEANS):  # what a load moves together goes back together; it moves no yaw (2)
+            mem[REFERENCE + j] += shift[j] if carried and j != 2 else before[j] * par[FOLLOW] * par[MOST] / fastest
     elif mem[HELD] > HOLD_S:
         for j in range(trim.MEANS):
             mem[REFERENCE + j] += before[j]
@@ -118,7 +118,7 @@ class TrimStep(trim.TrimMonitor[TrimStepSpec]):
         b_j = max(0, min(g_j, n l) - 3 s_j)/(1 - 3 s_j/(n l)),    n: rotors,    l = ln(o/o_ref),    s_j: sd of g_j
         g_j = (c_j . d - |c_j x d|)/|c_j|^2 of roll and pitch alone,    d = m - m_ref
         m_ref <- m_ref + (m(t - 5 s) - m_ref) dt/30 s, at most 0.0003 dt,    while both are within 0.012
-        m_ref <- m, o_ref <- o,    if 0.3 l is above 0.012 in both, and differs by no more: a load that stays
+        m_ref <- m but for yaw, o_ref <- o,    if 0.3 l is above 0.012 in both, and differs by no more: a load stays
         var(m_roll), var(m_pitch): their spread^2 + (0.3 ln(o/o_ref))^2,    o: mean output, which has a reference, too
 
     A load shifts roll and pitch by its weight, which o shows, times its place, usually 0.3 of the rotors' distance; a

@@ -93,7 +93,7 @@ def flight_report(log: Log, baseline: Baseline, columns: int = COLUMNS, *, figur
         verdict,
         log.sha256,
         log.profile,
-        log.epoch_ns and log.epoch_ns + sketch.begin_ns,
+        log.started_ns and log.epoch_ns + sketch.begin_ns,
         sketch.begin_ns / NS_PER_S,
         summaries(log.telemetry),
         "" if layout is None else pictures.airframe_drawing(layout, sketch, words.rotors_of(verdict)),

@@ -75,8 +75,8 @@ def flag(at: int) -> Part[np.bool_]:
 class Block:
     """Consecutive rows of one segment, on a uniform grid of period `dt_s`.
 
-    A signal is nan in a row where it is unknown (see `rows.align`). Only the set-point stays finite; `setpoint_valid`
-    says where it may be used. Columns and units of signals are those of `Signal`; angles have no jumps of 2 pi.
+    A signal is nan in a row where it is unknown (see `rows.align`); `setpoint_valid` says where the set-point may be
+    used. Columns and units of signals are those of `Signal`; angles have no jumps of 2 pi.
 
     segment: number of the unbroken span of flight. t_ns: (n,) vehicle time. whole: (rows, ..) memory, in which its own
     columns x, (rows, n), see `VALID`, begin with `first`; what is in front is room for those of before (`columns_of`).

@@ -316,9 +316,7 @@ def hidden_flight(
     thrust, outputs, height = (_mean(telemetry.get(signal), bins, HELD_BINS) for signal in SHOWS_FLIGHT[1:4])
     armed, motion = _mean(telemetry.get(Signal.ARMED), bins, len(bins)), _motion(telemetry.get(Signal.BODY_RATE), bins)
     dead, moves = ~np.isfinite(motion), motion >= FLIES * _median(motion[flown])
-    told = _mean(
-        Telemetry(tuple(shows)).get(Signal.ACTUATOR), bins, HELD_BINS
-    )  # what idles does not change, nor is it 0
+    told = _mean(Telemetry(tuple(shows)).get(Signal.ACTUATOR), bins, HELD_BINS)  # of motors that idle steady, not 0
     down = (told < FLIES * _median(told[flown])) & ((told > 0.0) | np.isfinite(outputs))
     low, off = thrust < (gate.min_thrust or 0.0), (armed < 0.5) & gate.need_armed
     reasons = {

@@ -33,7 +33,7 @@ from mavdiag.archive import pool
 from mavdiag.archive import scan as module
 from mavdiag.archive import together as of_flights
 from mavdiag.archive.figures import FlightRecord, windows_of
-from mavdiag.archive.paths import logs_named
+from mavdiag.archive.paths import Found, Named, logs_named
 from mavdiag.archive.pool import TaskExecutor, run_all
 from mavdiag.archive.scan import Answer, Cache, Options, Question, Record, digest_of, judge_file, open_cache, scan
 from mavdiag.archive.tables import COLUMNS, rows_of, write_csv, write_parquet
@@ -87,14 +87,15 @@ def test_a_pattern_is_what_it_matches(tmp_path: Path, monkeypatch: pytest.Monkey
     assert (logs_named([tmp_path / "b" / "*"]).skipped, below(tmp_path, "c[1].tlog")) == (1, ["c[1].tlog"])
     monkeypatch.chdir(tmp_path)
     assert [str(one.path) for one in logs_named(["*/1*"]).logs] == ["a/1.tlog"]
+    monkeypatch.setattr(Path, "is_dir", lambda one: one.name == "b" or ("3" in one.name and Path("gone").stat()))
+    assert logs_named(["b"]) == Found((Named(Path("b/3.tlog"), "cannot be read (No such file or directory)"),), 1)
 
 
 @pytest.mark.parametrize("argument", ["nothing", "*.ulg", "nothing/*"])
 def test_what_names_no_log_is_trouble_and_an_error_where_all_are_needed(tmp_path: Path, argument: str) -> None:
     (tmp_path / "nothing").mkdir()
-    (one,) = logs_named([tmp_path / argument]).logs
-    assert one.trouble.startswith("no log there; name files, a folder, or a pattern")
-    with pytest.raises(InputError, match="no log there"):
+    assert len(logs_named([tmp_path / argument]).logs) == 1
+    with pytest.raises(InputError, match="no log there; name files, a folder, or a pattern"):
         logs_named([tmp_path / argument]).paths()
 
 
@@ -116,8 +117,7 @@ def test_every_option_the_baseline_and_the_code_make_another_question(monkeypatc
     scopes = [asked(option).scope for option in options]
     scopes.append(Question.of(archive_baseline().model_copy(update={"digest": "sha256:other"}), Options()).scope)
     monkeypatch.setattr("mavdiag.archive.scan.judging_version", lambda: "other")
-    scopes.append(asked().scope)
-    assert (len(set(scopes)), asked().scope) == (len(scopes), asked().scope)
+    assert (len({*scopes, asked().scope}), asked().scope) == (len(scopes) + 1, asked().scope)
 
 
 def test_a_damaged_file_and_one_of_another_log_are_no_answers(tmp_path: Path) -> None:

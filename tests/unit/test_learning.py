@@ -291,7 +291,7 @@ def logs(*started_ns: int) -> list[Log]:
         ([MONDAY, MONDAY + HOUR + 1], [0, 1]),
         ([MONDAY, MONDAY + HOUR, MONDAY + 2 * HOUR], [0, 0, 0]),  # each an hour after the one before
         ([MONDAY + 24 * HOUR, MONDAY, MONDAY + 25 * HOUR], [1, 0, 1]),  # numbered by time, whatever the order
-        ([0, 0, 0], [0, 1, 2]),  # unknown: each for itself
+        ([0, 60, HOUR], [0, 1, 2]),  # unknown, or never set: each for itself
         ([MONDAY, 0, MONDAY + 60], [1, 0, 1]),
     ],
 )
@@ -312,15 +312,15 @@ def test_of_many_sessions_a_tenth_or_a_fifth_is_left_out_always_whole_ones(fligh
 
 
 @cache
-def two_days() -> Baseline:
-    flights = [flown(i, MONDAY + (i // 2) * 24 * HOUR + (i % 2) * HOUR // 6) for i in range(4)]
+def two_days(first_ns: int = MONDAY) -> Baseline:
+    flights = [flown(i, first_ns + (i // 2) * 24 * HOUR + (i % 2) * HOUR // 6) for i in range(4)]
     return learn(flights, LearnOptions(airframe=FRAME, monitors=("rotor_trim", "trim_step")), created=NOW)
 
 
 def test_a_baseline_knows_the_sessions_of_its_flights() -> None:
     made = two_days()
     assert [one.session for one in made.provenance.logs] == [0, 0, 1, 1]
-    assert {entry.threshold.sessions for entry in made.monitors} == {2}
+    assert ({entry.threshold.sessions for entry in made.monitors}, two_days(HOUR).same_session(HOUR)) == ({2}, False)
     assert "from 4 flights in 2 sessions" in str(made)
     assert "in a session of these flights; another may differ" in str(made)
     assert parse(dump(made)) == made

@@ -93,8 +93,9 @@ def test_the_page_says_the_verdict_its_evidence_and_where_it_comes_from() -> Non
     assert "page made 2026-01-01 00:00 UTC by mavdiag" in said
     since_s = weak().verdict.since_s or math.nan
     assert f"{since_s - weak().begin_s:.1f} s of the flight" in said
-    late = without(flying(300, 7), (0.0, 1.0), signals=(Signal.BODY_RATE,))  # second 0 is that of the gyro
-    assert report_of(replace(logged(late), started_ns=10**18), whole(), figures=False).utc(0.0) == "01:46:41 UTC"
+    late = logged(without(flying(300, 7), (0.0, 1.0), signals=(Signal.BODY_RATE,)))  # second 0 is that of the gyro
+    for at_ns, told in ((10**18, "01:46:41 UTC"), (late.telemetry.first_ns, "00:00:02 UTC")):  # a wall clock, too
+        assert report_of(replace(late, started_ns=at_ns), whole(), figures=False).utc(0.0) == told
     for kind in FaultKind:  # without a rotor
         unnamed = replace(weak(), verdict=replace(weak().verdict, kind=kind, rotor=None, rotors=()))
         assert f"A {kind} was found." in check(flights_page([unnamed], whole(), "baseline.json", CREATED)).said

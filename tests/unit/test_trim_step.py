@@ -62,12 +62,13 @@ def test_a_load_is_no_weak_rotor_unless_it_hangs_under_one(weight: float, place:
 
 @pytest.mark.parametrize("per_s", [1e-5, 1e-4, 2e-4])
 def test_a_slow_drift_is_silent(per_s: float) -> None:
-    """A rise of `per_s` of hover a second lags by no more than the memory and a window and a half."""
-    outputs = level(180)
-    outputs[:, 2] += 0.5 * per_s * DT_S * np.arange(len(outputs))
+    """A rise of `per_s` of hover a second lags by no more than the memory and a window and a half; a fast one shows."""
+    rise, climbs = 0.5 * DT_S * np.arange(9000)[:, None] * np.eye(4)[2], 1.0 + 0.06 * (np.arange(9000) // 750 % 2)
+    outputs = level(180) + per_s * rise
     found = read(outputs)
     assert found.value[found.valid].max() < LEAST
     assert found.rotors[-60:, 2].mean() == pytest.approx(per_s * (MEMORY_S + 1.5 * WINDOW_S), abs=0.001)
+    assert read((outputs + 5e-4 * rise) * climbs[:, None]).value.max() > 3 * LEAST  # though lift comes and goes
 
 
 def test_nothing_is_judged_before_there_are_two_windows_nor_after_a_gap() -> None:
