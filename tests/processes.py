@@ -128,8 +128,8 @@ def port_of(line: str) -> int:
 
 def ended(child: subprocess.Popen[str], number: int) -> tuple[int, str]:
     child.send_signal(number)
-    _, rest = child.communicate(timeout=PATIENCE_S)
-    return child.returncode, rest
+    code, stderr = child.wait(PATIENCE_S), child.stderr  # `communicate` would lose what came with the first line
+    return code, stderr.read() if stderr else ""
 
 
 def until(endpoint: Endpoint, vehicle: MadeVehicle, words: str, patience_s: float = PATIENCE_S) -> list[str]:
