@@ -64,7 +64,7 @@ class Host:
     utc: Callable[[], datetime] = staticmethod(partial(datetime.now, UTC))
     cpu_s: Callable[[], float] = staticmethod(time.process_time)
     sleep: Callable[[float], None] = staticmethod(time.sleep)
-    tidy: Callable[[], None] = staticmethod(use_huge_pages)
+    tidy: Callable[[int], int] = staticmethod(use_huge_pages)
 
     def __init__(self, say: Callable[[str], None]) -> None:
         self.say = say
@@ -125,6 +125,7 @@ class Daemon:
         self._senders: dict[int, Sender] = {}
         self._requests = Requests(self.fleet, settings.keep_rates, self._sender, self._signing)
         self._started = self._beat_at = self._tidy_at = self._now()
+        self._tidied = 0  # place up to which memory is in order; 0 if it is all
         self._late, self._latest_s, self._unclear = 0, 0.0, set[tuple[int, str]]()
 
     def run(self, stop: Callable[[], bool]) -> None:
@@ -197,8 +198,8 @@ class Daemon:
             self._watch(now)
             self._beat_at = max(self._beat_at + BEAT_S, now)
         if now - self._tidy_at >= 0:
-            self._host.tidy()
-            self._tidy_at = now + max(TIDY_S, now - self._started)
+            self._tidied = self._host.tidy(self._tidied)
+            self._tidy_at = now if self._tidied else now + max(TIDY_S, now - self._started)
         self._flush(now)
 
     def end(self) -> None:

@@ -11,6 +11,7 @@ import re
 import secrets
 import stat
 import tempfile
+import time
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -34,6 +35,7 @@ KEPT = 8  # our choice: fewer are given back and faulted in again for each fligh
 MMAP_THRESHOLD, TRIM_THRESHOLD = -3, -1  # options of mallopt(3)
 MADV_COLLAPSE = 25  # of madvise(2), since Linux 6.1
 HUGE_BYTES = 2 << 20  # the largest huge page: a larger one stays empty for the most part (our choice)
+HUGE_S = 0.01  # in which memory is moved at a time, for nothing else is done meanwhile (our choice)
 ALIGN_BYTES = 8  # of an array in a file: that of its numbers
 ROOM_BYTES = 50_000_000  # of a disk that recordings leave to journals and open inspections (our choice)
 KIND_BYTES = 64  # of a file, which tell its kind (our choice)
@@ -278,23 +280,29 @@ def keep_freed(size: int) -> None:
         set_option(TRIM_THRESHOLD, KEPT * size)
 
 
-def use_huge_pages() -> None:
-    """Move what this process has in memory into huge pages, where the system has them (Linux).
+def use_huge_pages(place: int = 0) -> int:
+    """Move what this process has in memory from an address on into huge pages, where the system has them (Linux).
 
-    What runs shortly after each pause finds its caches cold, and looks up anew where each of its pages lies.
+    What runs shortly after each pause finds its caches cold, and looks up anew where each of its pages lies. It takes
+    `HUGE_S` at most, and returns where to go on; 0 if it is through.
     """
     pages, advise = Path("/sys/kernel/mm/transparent_hugepage"), getattr(ctypes.CDLL(None), "madvise", None)
     try:
         size, switch = int((pages / "hpage_pmd_size").read_text()), (pages / "enabled").read_text()
         regions = [line.split(maxsplit=5) for line in Path("/proc/self/maps").read_text().splitlines()]
     except (OSError, ValueError):
-        return
+        return 0
     if advise is None or size > HUGE_BYTES or "[never]" in switch:
-        return
+        return 0
+    until_s = time.monotonic() + HUGE_S
     for span, rights, _, _, inode, *name in regions:
         if rights == "rw-p" and inode == "0" and name in ([], ["[heap]"]):
             first, end = (int(address, 16) for address in span.split("-"))
-            advise(ctypes.c_void_p(first), ctypes.c_size_t(end - first), MADV_COLLAPSE)
+            for page in range(-(-max(first, place) // size) * size, end - size + 1, size):
+                if time.monotonic() > until_s:
+                    return page
+                advise(ctypes.c_void_p(page), ctypes.c_size_t(size), MADV_COLLAPSE)
+    return 0
 
 
 @contextmanager

@@ -41,7 +41,7 @@ TICK_S = 0.04
 class VirtualHost(Host):
     """Clocks that stand still until they are moved; log lines are kept. ahead: of the wall clock."""
 
-    tidy = staticmethod(lambda: None)
+    tidy = staticmethod(lambda place: 0)
 
     def __init__(self) -> None:
         self.lines: list[str] = []
