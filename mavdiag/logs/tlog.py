@@ -39,7 +39,6 @@ _WANTED = frozenset({*IMU_MESSAGES, MessageId.PARAM_VALUE}).union(
     *(SampleDecoder(profile).wanted for profile in PROFILES.values())
 )
 
-
 _NO_BYTES = np.empty(0, np.uint8)
 
 

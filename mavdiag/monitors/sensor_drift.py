@@ -120,7 +120,7 @@ def _drifted(mem: Floats, newest: int, apart: int, mean: int, excused: float) ->
     least, last = abs(change), apart + mean - 1
     for middle in range(last if abs(change) > excused else 0):
         sides = min(middle + 1, mean) - max(middle + 1 - apart, 0)  # ticks of the two means between which it lies
-        step = mem[newest - max(middle - 2, 0)] - mem[newest - min(middle - 2 + STEP, last)]
+        step = mem[newest - max(middle - STEP // 2, 0)] - mem[newest - min(middle + STEP // 2, last)]
         least = min(least, abs(change - sides / mean * step))
     return least if 2.0 * least < abs(change) else abs(change)
 
@@ -167,7 +167,8 @@ def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats
     while begin < columns:
         stop = min(begin + tick - int(mem[ROWS]), columns)
         _add_rows(mem, x, begin, stop)
-        mem[ROWS], begin = mem[ROWS] + stop - begin, stop
+        mem[ROWS] += stop - begin
+        begin = stop
         if mem[ROWS] < tick:
             break
         whole = mem[SOUND_ROWS] >= tick
@@ -179,7 +180,8 @@ def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats
         mem[:ANGLE] = 0.0
         angle = max(found[0] / (par[SPREADS] + found[3]), found[1] / (par[SPREADS + 1] + found[3]))
         value = min(max(angle, found[2] / par[SPREADS + 2]), LIMIT)
-        out[VALUE, k], out[LEVEL, k], at[k], k = value, value, stop - 1 - first, k + 1
+        out[VALUE, k], out[LEVEL, k], at[k] = value, value, stop - 1 - first
+        k += 1
     return k
 
 

@@ -106,7 +106,8 @@ def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats
         if ended:
             trim.take_tick(par, mem, mem[trim.KNOWN] > 0.5 and x[COVERED, begin - 1] > 0.5)
             trim.write(par, mem, shift, _take_window(par, mem, shift, before), out, rotors, k)
-            at[k], k = begin - 1 - first, k + 1
+            at[k] = begin - 1 - first
+            k += 1
     return k
 
 
