@@ -14,15 +14,15 @@ class _Mailbox:
 
     def __init__(self, capacity: int) -> None:
         self.fileno = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
-        self.open = True
-        self._capacity = capacity
+        self.open, self._capacity = True, capacity
         self._messages: deque[bytes] = deque()
 
     def put(self, data: bytes) -> bool:
         if not self.open or len(self._messages) >= self._capacity:
             return False
+        if not self._messages:
+            os.eventfd_write(self.fileno, 1)
         self._messages.append(data)
-        os.eventfd_write(self.fileno, 1)
         return True
 
     def take(self) -> list[bytes]:

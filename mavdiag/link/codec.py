@@ -503,7 +503,7 @@ class Encoder:
         self._seq = (seq + 1) & 0xFF
         sender = (seq, self._sysid, self._compid)
         body = _pack_header(len(payload), self._flags, 0, *sender, msgid & 0xFFFF, msgid >> 16) + payload
-        frame = b"\xfd" + body + mcrf4xx(layout.crc_extra, mcrf4xx(body)).to_bytes(2, "little")
+        frame = b"\xfd" + body + mcrf4xx(body + layout.crc_extra).to_bytes(2, "little")
         return frame if self._signing is None else frame + self._signing.seal(frame)
 
 

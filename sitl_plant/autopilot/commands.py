@@ -69,7 +69,9 @@ class Autopilot:
     @property
     def dialect(self) -> Dialect:
         """What is sent at present: the dialect with the flight mode of now."""
-        return replace(self._dialect, custom_mode=self._pilot.custom_mode)
+        if self._dialect.custom_mode != self._pilot.custom_mode:
+            self._dialect = replace(self._dialect, custom_mode=self._pilot.custom_mode)
+        return self._dialect
 
     def step(self, link: int, frame: Frame, now_ns: int) -> list[Action]:
         """Answer and route one frame that came in on `link` at vehicle time `now_ns`."""

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Mapping
 from functools import cache
 from itertools import repeat
-from operator import itemgetter
+from operator import attrgetter, itemgetter
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -71,7 +71,7 @@ def to_local(latitude_deg: float, longitude_deg: float) -> tuple[float, float]:
 def integers(values: FloatArray, bits: int) -> IntArray:
     """Rounded and held in a signed field of so many bits."""
     top = (1 << bits - 1) - 1
-    return np.clip(np.rint(values), -top - 1, top).astype(np.int64)
+    return np.asarray(np.minimum(np.maximum(np.rint(values), -top - 1), top), np.int64)  # np.clip is slow
 
 
 class FilteredSamples(NamedTuple):
@@ -132,13 +132,12 @@ class _EscFrames:
         if not self._losses:
             self._losses = [np.random.default_rng([self._seed, rotor]) for rotor in range(rotors)]
             self._told, self._frames = np.full(rotors, np.nan), frames[:1] - 1
-        fresh = np.diff(frames, axis=0, prepend=self._frames) > 0
+        fresh = frames > np.concatenate([self._frames, frames[:-1]])
         told = np.empty(speed.shape)
-        for rotor, losses in enumerate(self._losses):
-            came = np.flatnonzero(fresh[:, rotor])
-            came = came[losses.random(len(came)) >= ESC_LOST]
-            values = np.append(self._told[rotor], ESC_STEP * np.rint(speed[came, rotor] / ESC_STEP))
-            told[:, rotor] = values[np.searchsorted(came, np.arange(len(t_ns)), side="right")]
+        told[:] = self._told
+        for row, rotor in np.argwhere(fresh).tolist():
+            if self._losses[rotor].random() >= ESC_LOST:
+                told[row:, rotor] = ESC_STEP * np.rint(speed[row, rotor] / ESC_STEP)
         self._told, self._frames = told[-1], frames[-1:]
         return told
 
@@ -204,14 +203,13 @@ def records(msgid: int, filtered: FilteredSamples, rows: IntArray, dialect: Dial
     They are more than the rows where one message does not carry all rotors. Fields without a column but time are zero.
     """
     due = _Due(filtered, rows, dialect)
-    times: Columns = {"time_boot_ms": due.boot_ms, "time_usec": due.boot_us}
-    built = {name: times[name] for name in times if name in layout_of(msgid).names}
-    columns = {name: np.asarray(column) for name, column in {**built, **_BUILDERS[msgid](due)}.items()}
+    told: Columns = {**{name: getattr(due, name) for name in _stamps(msgid)}, **_BUILDERS[msgid](due)}
+    columns = {name: np.asarray(column) for name, column in told.items()}
     dtype = _dtype(msgid, tuple((name, one.shape[1] if one.ndim == 2 else 1) for name, one in columns.items()))
     record = np.zeros(next(len(one) for one in columns.values() if one.ndim), dtype)
     for name, one in columns.items():
-        record[name] = one.reshape(record[name].shape) if one.ndim else one
-    return np.repeat(rows, len(record) // len(rows)), record
+        record[name] = one[:, 0] if one.shape[1:] == (1,) else one
+    return (rows if len(record) == len(rows) else np.repeat(rows, len(record) // len(rows))), record
 
 
 @cache
@@ -219,19 +217,31 @@ def _dtype(msgid: int, columns: tuple[tuple[str, int], ...]) -> np.dtype[np.void
     return layout_of(msgid).record_dtype(*columns)
 
 
+@cache
+def _stamps(msgid: int) -> tuple[str, ...]:
+    return tuple(name for name in ("time_boot_ms", "time_usec") if name in layout_of(msgid).names)
+
+
+def _rows_of(path: str) -> Any:
+    column = attrgetter(path)
+    return property(lambda due: column(due.filtered)[due.rows])
+
+
 class _Due:
+    gyro, accel, esc, stamp_ns = map(_rows_of, ("gyro", "accel", "esc", "stamp_ns"))
+    position, velocity, estimate = map(_rows_of, ("samples.position", "samples.velocity", "samples.attitude"))
+    motors, volts, duty = map(_rows_of, ("samples.motors", "samples.battery_v", "samples.duty"))
+    charge_ah = _rows_of("samples.charge_ah")
+    time_boot_ms = property(lambda due: due.stamp_ns // NS_PER_MS % (1 << 32))
+    time_usec = property(lambda due: due.stamp_ns // NS_PER_US)
+    angles = property(lambda due: due.estimate[:, :3])
+    heading = property(lambda due: np.degrees(due.angles[:, 2]) % 360.0)
+    speed = property(lambda due: np.hypot(due.velocity[:, 0], due.velocity[:, 1]))
+    remaining = property(lambda due: integers(100.0 * np.clip(1.0 - due.charge_ah / CAPACITY_AH, 0.0, 1.0), 8))
+    rpm = property(lambda due: np.where(np.isnan(due.esc), 0.0, due.esc / RPM))  # zero before the first frame
+
     def __init__(self, filtered: FilteredSamples, rows: IntArray, dialect: Dialect) -> None:
         self.filtered, self.rows, self.dialect, self.profile = filtered, rows, dialect, dialect.profile
-        samples, stamp_ns = filtered.samples, filtered.stamp_ns[rows]
-        self.boot_ms, self.boot_us = stamp_ns // NS_PER_MS % (1 << 32), stamp_ns // NS_PER_US
-        self.gyro, self.accel, self.motors = filtered.gyro[rows], filtered.accel[rows], samples.motors[rows]
-        self.position, self.velocity = samples.position[rows], samples.velocity[rows]
-        self.angles, self.volts, self.duty = samples.attitude[rows, :3], samples.battery_v[rows], samples.duty[rows]
-
-    @property
-    def remaining(self) -> IntArray:
-        charge_ah = self.filtered.samples.charge_ah[self.rows]
-        return integers(100.0 * np.clip(1.0 - charge_ah / CAPACITY_AH, 0.0, 1.0), 8)
 
     @property
     def place(self) -> dict[str, IntArray]:
@@ -240,36 +250,23 @@ class _Due:
         return {"lat": integers(where[:, :2] * 1e7, 32), "alt": integers(where[:, 2] * 1e3, 32)}
 
     @property
-    def heading(self) -> FloatArray:
-        return np.asarray(np.degrees(self.angles[:, 2]) % 360.0)
-
-    @property
-    def speed(self) -> FloatArray:
-        return np.hypot(self.velocity[:, 0], self.velocity[:, 1])
-
-    @property
     def outputs(self) -> FloatArray:
         low, high = self.profile.actuator_span
         return np.asarray(low + (high - low) * self.duty)
-
-    @property
-    def rpm(self) -> FloatArray:
-        """By the motors' telemetry; zero before its first frame."""
-        return np.asarray(np.nan_to_num(self.filtered.esc[self.rows], nan=0.0) / RPM)
 
 
 def _quaternion(angles: FloatArray) -> FloatArray:
     """(n, 4) w, x, y, z, body to world, from (n, 3) roll, pitch, yaw in the order z-y-x."""
     (cr, cp, cy), (sr, sp, sy) = np.cos(0.5 * angles).T, np.sin(0.5 * angles).T
-    w, x = cr * cp * cy + sr * sp * sy, sr * cp * cy - cr * sp * sy
-    return np.column_stack([w, x, cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy])
+    cc, cs, sc, ss = cr * cp, cr * sp, sr * cp, sr * sp
+    return np.array([cc * cy + ss * sy, sc * cy - cs * sy, cs * cy + sc * sy, cc * sy - ss * cy]).T
 
 
 def _groups(values: FloatArray | IntArray) -> Any:
     """(n, r) as (n g, 4): the rotors four by four, zeros where there is none."""
-    groups = -(-values.shape[1] // ESC_GROUP)
-    padded = np.pad(values, ((0, 0), (0, groups * ESC_GROUP - values.shape[1])))
-    return padded.reshape(-1, ESC_GROUP)
+    if lacking := -values.shape[1] % ESC_GROUP:
+        values = np.hstack([values, np.zeros((len(values), lacking), values.dtype)])
+    return values.reshape(-1, ESC_GROUP)
 
 
 def _home(due: _Due) -> Columns:
@@ -280,7 +277,7 @@ def _home(due: _Due) -> Columns:
 def _servo_output(due: _Due) -> Columns:
     servos = integers(due.outputs, 17)
     more = {"servo9_raw": servos[:, SERVOS:]} if servos.shape[1] > SERVOS else {}
-    return {"time_usec": due.boot_us % (1 << 32), "servo1_raw": servos[:, :SERVOS], **more}
+    return {"time_usec": due.time_usec % (1 << 32), "servo1_raw": servos[:, :SERVOS], **more}
 
 
 def _battery(due: _Due) -> Columns:
@@ -292,7 +289,7 @@ def _battery(due: _Due) -> Columns:
         "temperature": 0x7FFF,  # not measured, as the current
         "voltages": voltages,
         "current_battery": -1,
-        "current_consumed": integers(1e3 * due.filtered.samples.charge_ah[due.rows], 32),
+        "current_consumed": integers(1e3 * due.charge_ah, 32),
         "energy_consumed": -1,
         "battery_remaining": due.remaining,
     }
@@ -301,14 +298,14 @@ def _battery(due: _Due) -> Columns:
 def _esc_status(due: _Due) -> Columns:
     rpm, n = _groups(integers(due.rpm, 32)), len(due.rows)
     groups = len(rpm) // n
-    index, volts = np.tile(ESC_GROUP * np.arange(groups), n), np.broadcast_to(due.volts[:, None], due.duty.shape)
-    return {"time_usec": np.repeat(due.boot_us, groups), "index": index, "rpm": rpm, "voltage": _groups(volts)}
+    index, volts = np.tile(ESC_GROUP * np.arange(groups), n), np.repeat(due.volts[:, None], due.duty.shape[1], axis=1)
+    return {"time_usec": np.repeat(due.time_usec, groups), "index": index, "rpm": rpm, "voltage": _groups(volts)}
 
 
 def _esc_telemetry(first: int) -> Callable[[_Due], Columns]:
     def build(due: _Due) -> Columns:
         rpm = integers(due.rpm[:, first : first + ESC_GROUP], 17)
-        volts = np.broadcast_to(integers(100.0 * due.volts, 17)[:, None], rpm.shape)
+        volts = np.repeat(integers(100.0 * due.volts, 17)[:, None], rpm.shape[1], axis=1)
         warm = np.full(rpm.shape, ESC_TEMPERATURE_C)
         return {"rpm": _groups(rpm), "voltage": _groups(volts), "temperature": _groups(warm)}
 
@@ -346,8 +343,8 @@ _BUILDERS: Mapping[int, Callable[[_Due], Columns]] = {
     # the true position: motion capture gives it to a fraction of a millimetre
     MessageId.LOCAL_POSITION_NED: lambda due: {"x": due.position, "vx": due.velocity},
     MessageId.GLOBAL_POSITION_INT: lambda due: {
-        **due.place,
-        "relative_alt": due.place["alt"] - _HOME[2],
+        **(place := due.place),
+        "relative_alt": place["alt"] - _HOME[2],
         "vx": integers(100.0 * due.velocity, 16),
         "hdg": integers(100.0 * due.heading, 17) % 36_000,
     },

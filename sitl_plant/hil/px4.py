@@ -120,7 +120,7 @@ class Bridge:
         )
 
     def _truth(self, row: PlantSamples) -> bytes:
-        velocity, accel = (CM * row.velocity[0]).tolist(), (1e3 / G * row.accel[0]).tolist()
+        velocity, accel = (map(round, one.tolist()) for one in (CM * row.velocity[0], 1e3 / G * row.accel[0]))
         turns, air = (row.quaternion[0].tolist(), *row.omega[0].tolist()), (0, 0)
         return self._encoder.encode(
             MessageId.HIL_STATE_QUATERNION, _micros(row), *turns, *_place(row), *velocity, *air, *accel

@@ -38,8 +38,8 @@ class OutputMap:
 
     def from_share(self, shares: Sequence[float] | FloatArray) -> FloatArray:
         """Duties (n,) of at least n outputs of 0 to 1; others are held there, and NaN, for no output, is 0."""
-        duties = np.clip(np.asarray(shares, dtype=np.float64)[self.places], 0.0, 1.0)
-        return np.nan_to_num(duties, nan=0.0)
+        duties = np.asarray(shares, dtype=np.float64)[self.places]
+        return np.where(duties > 0.0, np.minimum(duties, 1.0), 0.0)
 
     def motor(self, rotor: int) -> int:
         """The autopilot's number of a rotor, both from 1."""
