@@ -1,6 +1,7 @@
 """Reactions flown by emulator and daemon on one virtual clock: the thesis's nine faults, three places, some seeds.
 
     python benchmarks/reactions.py [PART...] [--seeds 5] [--faults 9] [--calls 9] [--healthy-h 10] [--rate 1000]
+        [--workers 2]
 
     faults    nine faults x three places x seeds: the emulated vehicle with its own controller
     loop      nine faults, a flight controller in the loop: `loop_plant.py`
@@ -18,13 +19,16 @@ stands on the ground, upright and disarmed, before END_S. A healthy flight is ri
 import argparse
 import json
 import math
+import os
 import sys
 import tempfile
 import time
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cache
+from itertools import count
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 from unittest.mock import patch
 
 import numpy as np
@@ -32,10 +36,13 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 from loop_plant import HIL_HZ, LoopPlant
+from made_baselines import kept
 from made_vehicle import Bench
 from virtual_flight import GroundStation, VirtualFlight, learnt
 
 from detector.config import Settings
+from mavdiag.archive.pool import run_all
+from mavdiag.archive.scan import digest_of_sources
 from mavdiag.baseline import Baseline
 from mavdiag.link.messages import MavCmd, MessageId
 from mavdiag.logs.tlog import read_tlog
@@ -165,14 +172,19 @@ class Flown:
 
 @cache
 def baseline(place: str, craft: Craft = USUAL, longest_s: float = LEARN_S) -> Baseline:
-    """Learnt from healthy flights of this kind, as the link brings them."""
+    """Learnt from healthy flights of this kind, as the link brings them; they are flown where it is not kept yet."""
+    flying = [path.read_text(encoding="utf-8") for path in sorted(Path(__file__).parent.glob("*.py"))]
     spans_s = [LEARN_S] * TAUGHT + [longest_s] * (longest_s > LEARN_S)
-    with tempfile.TemporaryDirectory() as folder:
-        paths = [Path(folder) / f"{seed}.tlog" for seed in range(len(spans_s))]
-        for seed, (path, span_s) in enumerate(zip(paths, spans_s, strict=True)):
-            fly(place, seed, craft=craft, until_s=span_s, record=path)
-        known = airframe_of(vehicle_from(craft.vehicle), craft.vehicle)
-        return learnt([read_tlog(path) for path in paths], known)
+
+    def taught() -> Baseline:
+        with tempfile.TemporaryDirectory() as folder:
+            paths = [Path(folder) / f"{seed}.tlog" for seed in range(len(spans_s))]
+            for seed, (path, span_s) in enumerate(zip(paths, spans_s, strict=True)):
+                fly(place, seed, craft=craft, until_s=span_s, record=path)
+            known = airframe_of(vehicle_from(craft.vehicle), craft.vehicle)
+            return learnt([read_tlog(path) for path in paths], known)
+
+    return kept(f"{place} {craft} {spans_s} {flying} {digest_of_sources(('detector',))}", taught)
 
 
 def fly(
@@ -272,12 +284,28 @@ def tell(title: str, found: list[Flown]) -> None:
     print(f"{title}: the latest action {max(late, default=NAN):.2f} s after its delay", flush=True)
 
 
-def judged(place: str, seed: int, fault: str, craft: Craft) -> Flown:
-    """One flight with a fault; it is printed if it is not as it should be."""
-    flown = fly(place, seed, fault, craft=craft)
-    if not flown.down or flown.late_s is None or flown.late_s > 0.5:
-        print(f"  {place} {fault} seed {seed}: {flown}", flush=True)
-    return flown
+def flown_each(flights: Iterable[dict[str, Any]], workers: int) -> Iterator[Flown]:
+    """What comes of each flight, in their order. flights: what `fly` is given."""
+    ended, following = dict[int, Flown](), 0
+    for (number, _), future in run_all(_numbered, enumerate(flights), workers):
+        ended[number] = future.result()
+        while following in ended:
+            yield ended.pop(following)
+            following += 1
+
+
+def _numbered(flight: tuple[int, dict[str, Any]]) -> Flown:
+    return fly(**flight[1])
+
+
+def judged(flights: list[dict[str, Any]], workers: int) -> list[Flown]:
+    """Flights with a fault; each one is printed that is not as it should be."""
+    found = []
+    for flight, flown in zip(flights, flown_each(flights, workers), strict=True):
+        if not flown.down or flown.late_s is None or flown.late_s > 0.5:
+            print(f"  {flight['place']} {flight['fault']} seed {flight['seed']}: {flown}", flush=True)
+        found.append(flown)
+    return found
 
 
 def faults(options: argparse.Namespace, codes: list[str]) -> None:
@@ -286,38 +314,46 @@ def faults(options: argparse.Namespace, codes: list[str]) -> None:
     for place in options.place or PLACES:
         print(f"{place}: taught, grade {baseline(place, craft).grade}", flush=True)
         seeds = [(100 + 10 * n + k, code) for n, code in enumerate(codes) for k in range(options.seeds)]
-        tell(place, [judged(place, seed, code, craft) for seed, code in seeds])
+        flights = [{"place": place, "seed": seed, "fault": code, "craft": craft} for seed, code in seeds]
+        tell(place, judged(flights, options.workers))
 
 
 def loop(options: argparse.Namespace, codes: list[str]) -> None:
     """The same with a flight controller in the loop, each fault in one of the places."""
-    flown = [judged(PLACES[n % 3], 200 + n, code, IN_LOOP) for n, code in enumerate(codes)]
+    each = [{"place": PLACES[n % 3], "seed": 200 + n, "fault": code, "craft": IN_LOOP} for n, code in enumerate(codes)]
+    flown = judged(each, options.workers)
     tell("in the loop", flown)
     print(f"in the loop: commanded {', '.join(one for each in flown for one in each.commands)}")
 
 
 def called(options: argparse.Namespace, codes: list[str]) -> None:
     """Flights in which it is called off."""
-    craft = replace(USUAL, rate_hz=options.rate)
-    for way in WAYS:
-        tries = [(PLACES[n % 3], 300 + n, codes[n % len(codes)]) for n in range(options.calls)]
-        found = [fly(place, seed, code, craft=craft, call=way, until_s=60.0) for place, seed, code in tries]
-        tried = [one for one in found if one.announced]
+    each = {"craft": replace(USUAL, rate_hz=options.rate), "until_s": 60.0}
+    tries = [{"place": PLACES[n % 3], "seed": 300 + n, "fault": codes[n % len(codes)]} for n in range(options.calls)]
+    found = list(flown_each([{**one, **each, "call": way} for way in WAYS for one in tries], options.workers))
+    for number, way in enumerate(WAYS):
+        tried = [one for one in found[number * len(tries) : (number + 1) * len(tries)] if one.announced]
         off = sum(one.called_off and not one.commands for one in tried)
         print(f"called off by {way}: {off} of {len(tried)}", flush=True)
 
 
 def healthy(options: argparse.Namespace, codes: list[str]) -> None:
     """Healthy flight of several vehicles in turn; what was flown so far is printed after each."""
-    flown_s, acted, number = 0.0, 0, options.first
-    while flown_s < 3600.0 * options.healthy_h:
-        (vehicle, drone), place = CRAFTS[number % len(CRAFTS)], PLACES[number % len(PLACES)]
+
+    def flight(number: int) -> dict[str, Any]:
+        vehicle, drone = CRAFTS[number % len(CRAFTS)]
         craft = Craft(vehicle, drone, rate_hz=options.rate)
-        one = fly(place, 1000 + number, craft=craft, until_s=HEALTHY_S)
-        flown_s, acted, seed = flown_s + one.flown_s, acted + len(one.commands), 1000 + number
-        told = f": {one}" if one.commands or one.declared_s is not None else ""
-        print(f"  {vehicle} {drone}, {place}, seed {seed}: {flown_s / 3600:.2f} h, {acted} actions{told}", flush=True)
-        number += options.every
+        return {"place": PLACES[number % len(PLACES)], "seed": 1000 + number, "craft": craft, "until_s": HEALTHY_S}
+
+    flown_s, acted = 0.0, 0
+    for number, one in enumerate(flown_each(map(flight, count(options.first)), options.workers), options.first):
+        what, (vehicle, drone) = flight(number), CRAFTS[number % len(CRAFTS)]
+        flown_s, acted = flown_s + one.flown_s, acted + len(one.commands)
+        told = f"{flown_s / 3600:.2f} h, {acted} actions"
+        told += f": {one}" if one.commands or one.declared_s is not None else ""
+        print(f"  {vehicle} {drone}, {what['place']}, seed {what['seed']}: {told}", flush=True)
+        if flown_s >= 3600.0 * options.healthy_h:
+            return
 
 
 def main() -> None:
@@ -329,16 +365,16 @@ def main() -> None:
     parser.add_argument("--faults", type=int, default=len(FAULTS))
     parser.add_argument("--healthy-h", type=float, default=10.0)
     parser.add_argument("--first", type=int, default=0, help="number of the first healthy flight, to go on with")
-    parser.add_argument("--every", type=int, default=1, help="of the healthy flights only each n-th from there on")
     parser.add_argument("--calls", type=int, default=9, help="flights of each way in which a pilot calls it off")
     parser.add_argument("--rate", type=float, default=RATE_HZ, help="of gyro and set-points on the link")
+    parser.add_argument("--workers", type=int, default=2, help="processes that fly; no answer depends on them")
     options = parser.parse_args()
     began_s = time.monotonic()
     for part in options.parts or PARTS:
         {"faults": faults, "loop": loop, "called": called, "healthy": healthy}[part](
             options, [fault.code for fault in FAULTS[: options.faults]]
         )
-    print(f"{time.monotonic() - began_s:.0f} s, {time.process_time():.0f} s of processor time")
+    print(f"{time.monotonic() - began_s:.0f} s, {sum(os.times()[:4]):.0f} s of processor time")
 
 
 if __name__ == "__main__":

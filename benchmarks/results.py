@@ -4,7 +4,9 @@
 
 FOLDER holds the recordings in its folder `data`; commands that need them are left out without it. What a section prints
 stands between two marks in the document, under the commit, the day and the machine that it was made with. A section
-whose command fails keeps its old text, and the exit code is 1.
+whose command fails keeps its old text, and the exit code is 1. Of each command the time by the clock and the processor
+time are told: on a shared machine the first may be several times the second. Two of these may run side by side, best
+one with attacks, page, soak, daemon and loop, which wait for the real clock, and one with the others.
 """
 
 import argparse
@@ -173,14 +175,15 @@ def run(command: str, shared: Path | None, temporary: str) -> str | None:
     program = Path(sys.executable).with_name(words[0])
     paths = os.pathsep.join(map(str, (ROOT, ROOT / "tests", ROOT / "benchmarks", ROOT / "fuzz")))
     environment = {**os.environ, "PYTHONPATH": paths}
-    started = time.monotonic()
+    started, spent_s = time.monotonic(), sum(os.times()[2:4])
     done = subprocess.run([str(program), *words[1:]], cwd=ROOT, env=environment, capture_output=True, text=True)
     if done.returncode not in (0, 1) or "Traceback (most recent call last)" in done.stdout + done.stderr:
         print(done.stdout, done.stderr, sep="\n", file=sys.stderr)
         return None
     text = done.stdout.replace(temporary, "TEMPORARY")
     text = f"$ {command}\n{text.replace(data, 'FOLDER') if data else text}".rstrip()
-    return f"{text}\n[{time.monotonic() - started:.0f} s by the clock]"
+    spent_s = sum(os.times()[2:4]) - spent_s
+    return f"{text}\n[{time.monotonic() - started:.0f} s by the clock, {spent_s:.0f} s of processor time]"
 
 
 def provenance() -> str:
