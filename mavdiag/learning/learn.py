@@ -119,7 +119,7 @@ Fitted: TypeAlias = tuple[Monitor[Any], Scores]  # by its fit to all flights, an
 
 
 def learn(flights: Iterable[Log], options: LearnOptions, *, created: str) -> Baseline:
-    """A baseline from healthy flights. created: time stamp to record, ISO 8601 UTC.
+    """A baseline from healthy flights. created: time stamp to record, ISO 8601 UTC; UsageError is raised for another.
 
     Each flight is taken once, and put aside: flights that are read as they are taken, `(read_log(path) for path in
     paths)`, are never in memory together. A monitor that cannot work on such flights is recorded with its reason.
