@@ -111,7 +111,6 @@ def _serve(settings: Settings, *, reset_stamp: bool) -> None:
             _say(f"what is learned is {NOT_KEPT}")
         _warm()
         signing, journal, recorder, flights, metrics, web = None, None, None, None, None, None
-        epoch_ns = time.time_ns() - time.monotonic_ns()
         if settings.signing_key is not None:
             kept = open_signing(settings.signing_key, "detector", time.time_ns(), reset=reset_stamp)
             signing = enter(closing(kept))
@@ -123,7 +122,7 @@ def _serve(settings: Settings, *, reset_stamp: bool) -> None:
             journal = enter(closing(Journal(settings.journal, _say, settings.journal_mb, settings.journal_keep)))
         if settings.record is not None:
             sizes = settings.record_mb, settings.record_keep
-            recorder = enter(closing(Recorder(settings.record, epoch_ns, _say, *sizes)))
+            recorder = enter(closing(Recorder(settings.record, _say, *sizes)))
         hooks = [Hook(address, _say) for address in settings.hook]
         stack.callback(close_all, couriers := list[Courier](hooks))
         if settings.history is not None:

@@ -211,8 +211,9 @@ def load_settings(
         page_address(settings.web, settings.web_token_file, settings.web_names)
     for one, other in combinations(_ends(settings), 2):
         hosts, listen = {one[1], other[1]}, one[4] + other[4]
-        here = len(hosts) == 1 or all(is_loopback(ANY.get(host, host)) for host in hosts)
-        if one[2:4] == other[2:4] and (here or (hosts & ANY.keys() and listen == 2)) and listen:
+        local = all(is_loopback(ANY.get(host, host)) for host in hosts)  # 127.0.0.1 and 127.0.0.2 are two ends of it
+        here = len(hosts) == 1 or (hosts & ANY.keys() and (local or listen == 2)) or (local and "localhost" in hosts)
+        if one[2:4] == other[2:4] and here and listen:
             how = "listen on one port" if listen == 2 else "lead to each other"
             raise UsageError(f"{one[0]} and {other[0]} {how}; give each its own")
     return settings

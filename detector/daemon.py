@@ -126,6 +126,7 @@ class Daemon:
         self._requests = Requests(self.fleet, settings.keep_rates, self._sender, self._signing)
         self._started = self._beat_at = self._tidy_at = self._now()
         self._tidied = 0  # place up to which memory is in order; 0 if it is all
+        self._epoch_ns = 0  # unix time less the host's clock, renewed where the wall clock was set
         self._late, self._latest_s, self._unclear = 0, 0.0, set[tuple[int, str]]()
 
     def run(self, stop: Callable[[], bool]) -> None:
@@ -165,6 +166,8 @@ class Daemon:
     def tick(self) -> None:
         """One look: take what came, let the sessions go on as there is time, do what they want."""
         now, known, host, tick_s = self._now(), len(self.fleet.vehicles), self._host, self._settings.tick_s
+        epoch_ns = self._unix_ns() - now.ns
+        self._epoch_ns = epoch_ns if abs(epoch_ns - self._epoch_ns) > NS_PER_S else self._epoch_ns
         pieces = list[Datagrams]()
         while len(pieces) < DRAINS and (more := self._link.receive(0.0)):
             pieces.append(more)
@@ -182,8 +185,8 @@ class Daemon:
 
         turns = self.fleet.judge(now, has_time)
         if self._flights is not None:
-            self._flights.look(self._passed, self.fleet.vehicles, now, host.utc())
-        self._relay.pass_on(self._passed)
+            self._flights.look(self._passed, self.fleet.vehicles, now, self._epoch_ns)
+        self._relay.pass_on(self._passed, self._epoch_ns)
         self._passed.clear()
         self._report_new(known)
         self._carry_out(turns)
@@ -278,7 +281,7 @@ class Daemon:
             where = f"; its uid is {uid}" if uid else ""
             self._host.say(f"vehicle {sysid}: not watched: it has no baseline; name one in [vehicles.{sysid}]{where}")
             return None
-        return SessionSpec(profile, baseline, self._settings, self._unix_ns() - self._host.now_ns(), held)
+        return SessionSpec(profile, baseline, self._settings, self._epoch_ns, held)
 
     def _watch(self, now: Instant) -> None:
         sources = self.fleet.link.sources_since(now.ns - round(PEER_FRESH_S * NS_PER_S))
@@ -328,7 +331,7 @@ class Daemon:
         for sysid in self.fleet.link.vehicles if self._by_uid else ():
             self._knows(sysid)
         for sysid, vehicle in self.fleet.vehicles.items():
-            vehicle.session.unix_offset_ns = self._unix_ns() - self._host.now_ns()
+            vehicle.session.unix_offset_ns = self._epoch_ns
             if vehicle.session.working:
                 self._relay.send(self._sender(sysid).heartbeat(HEALTH[vehicle.session.state]))
         if self._announces and not self.fleet.vehicles:

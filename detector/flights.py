@@ -12,10 +12,10 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from datetime import datetime, timedelta
+from datetime import UTC, datetime, timedelta
 from functools import partial
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, TypeAlias
 
 from detector.fleet import Vehicle
 from detector.hooks import Courier
@@ -28,6 +28,7 @@ from mavdiag.storage import leave_room, write_atomically
 from mavdiag.telemetry import Instant
 from mavdiag.units import NS_PER_S, NS_PER_US
 
+Passed: TypeAlias = Iterable[tuple[bytes, int]]  # frames with their time of arrival [ns]
 ADD_S = 600.0  # that one flight may take to be judged (our choice: an hour at 1 kHz on a small computer)
 GONE_S = 60.0  # without a frame a flight is over (our choice: a radio is lost for less, a battery's change takes more)
 MAVLINK_2 = 0xFD  # first byte of a frame; its system id is the sixth, of MAVLink 1 the fourth
@@ -36,7 +37,6 @@ MAVLINK_2 = 0xFD  # first byte of a frame; its system id is the sixth, of MAVLin
 @dataclass(slots=True)
 class _Flight:
     path: Path
-    epoch_ns: int  # unix time less the host's clock at its begin: the wall clock may have been set since the start
     judges: list[Judge]  # of the vehicle's session in turn: a reboot brings another
     before_s: float  # flight time of the first of them at its begin
     file: BinaryIO | None = None  # None where it could not be opened
@@ -60,18 +60,16 @@ class Flights(Courier):
         self._left = sorted(p for p in folder.iterdir() if re.fullmatch(r"\d{1,3}-\d{8}T\d{6}\.tlog", p.name))
         super().__init__("history", self._add, warn)
 
-    def look(
-        self, passed: Iterable[tuple[bytes, int]], vehicles: Mapping[int, Vehicle], now: Instant, utc: datetime
-    ) -> None:
-        """After each look of the daemon. passed: frames with their time of arrival [ns]."""
+    def look(self, passed: Passed, vehicles: Mapping[int, Vehicle], now: Instant, epoch_ns: int) -> None:
+        """After each look of the daemon. epoch_ns: unix time less the clock of the times of arrival."""
         for sysid, vehicle in vehicles.items():
             session, flight = vehicle.session, self._open.get(sysid)
             flies = session.armed and now - session.latest <= GONE_S
             if flight is not None and session.judge is not None and session.judge not in flight.judges:
                 flight.judges.append(session.judge)
             if flight is None and flies and session.judge is not None:
-                epoch_ns, at = round(utc.timestamp() * NS_PER_S) - now.ns, utc
-                begun = _Flight(self._folder, epoch_ns, [session.judge], session.judge.flight_s)
+                at = datetime.fromtimestamp((epoch_ns + now.ns) / NS_PER_S, UTC)
+                begun = _Flight(self._folder, [session.judge], session.judge.flight_s)
                 self._open[sysid] = begun
                 with self._telling(self._folder):
                     while (path := self._folder / f"{sysid}-{at:%Y%m%dT%H%M%S}.tlog").exists():
@@ -82,7 +80,7 @@ class Flights(Courier):
         for sysid in self._open.keys() - vehicles.keys():  # they were swapped for others, which are not watched
             self._landed(sysid, None)
         if self._open:
-            self._append(passed)
+            self._append(passed, epoch_ns)
 
     def end(self, vehicles: Mapping[int, Vehicle]) -> None:
         """The daemon stops: what flies has landed as far as it can know."""
@@ -97,12 +95,12 @@ class Flights(Courier):
                 self._left.remove(path)
                 self._hand_over(path, sysid, baseline)
 
-    def _append(self, passed: Iterable[tuple[bytes, int]]) -> None:
+    def _append(self, passed: Passed, epoch_ns: int) -> None:
         records: dict[int, list[bytes]] = {sysid: [] for sysid in self._open}
         for frame, host_ns in passed:
             sysid = frame[5] if frame[0] == MAVLINK_2 else frame[3]
             if sysid in records:
-                records[sysid].append(tlog_record((self._open[sysid].epoch_ns + host_ns) // NS_PER_US, frame))
+                records[sysid].append(tlog_record((epoch_ns + host_ns) // NS_PER_US, frame))
         for sysid, own in records.items():
             flight = self._open[sysid]
             if own and flight.file is not None:

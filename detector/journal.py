@@ -232,23 +232,19 @@ class Journal(Appender):
 
 
 class Recorder(Appender):
-    """A telemetry log (.tlog) of all frames received. epoch_ns: unix time less the host's clock [ns]."""
+    """A telemetry log (.tlog) of all frames received."""
 
     leaves_room = True
 
-    def __init__(
-        self, path: Path, epoch_ns: int, warn: Callable[[str], None], limit_mb: float | None = None, keep: int = 0
-    ) -> None:
+    def __init__(self, path: Path, warn: Callable[[str], None], limit_mb: float | None = None, keep: int = 0) -> None:
         from mavdiag.logs.tlog import tlog_record  # only with a recording: it brings the readers of logs
 
         super().__init__(path, "--record", warn, limit_mb, keep)
-        self._record, self._epoch_ns = tlog_record, epoch_ns
-        self._records: list[bytes] = []
+        self._record, self._records = tlog_record, list[bytes]()
 
-    def write(self, frames: Iterable[bytes], host_ns: int) -> None:
+    def write(self, frames: Iterable[bytes], unix_ns: int) -> None:
         """Take frames that came at one time; `flush` appends them."""
-        time_us = (self._epoch_ns + host_ns) // NS_PER_US
-        self._records += [self._record(time_us, frame) for frame in frames if len(frame) >= FRAME_BYTES]
+        self._records += [self._record(unix_ns // NS_PER_US, frame) for frame in frames if len(frame) >= FRAME_BYTES]
 
     def flush(self) -> None:
         """Append what was taken since the last call; a reader skips what was torn."""
@@ -273,8 +269,9 @@ def check_files(settings: Settings) -> None:
             check_apart(path, *own[number + 1 :], *known)
     if settings.save is not None and not settings.save.is_file():  # one that is there is used
         check_writable(settings.save)
-    for option, path, kind in (("journal", own[0], rb'\s*\{"kind"'), ("record", own[1], rb".{8}[\xfd\xfe]")):
-        if path is not None and not begins(path, kind):
+    kinds = {"journal": rb'\s*\{"kind"', "record": rb".{8}[\xfd\xfe]", "history": rb"SQLite format 3\0"}
+    for option, kind in kinds.items():
+        if (path := getattr(settings, option)) is not None and not begins(Path(path), kind):
             raise UsageError(f"{path}: is no {option} so far, and would be spoilt; choose another --{option} file")
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
 from pydantic import (
+    AfterValidator,
     BaseModel,
     BeforeValidator,
     ConfigDict,
@@ -37,7 +38,7 @@ from mavdiag.rows.grid import NATIVE_TOLERANCE, rate_tolerance
 from mavdiag.rows.quality import LinkQuality
 from mavdiag.storage import read_text, write_atomically
 from mavdiag.tabular import Tabular
-from mavdiag.telemetry import EARLIEST_NS, Signal, Three
+from mavdiag.telemetry import EARLIEST_NS, Signal, Three, unix_ns
 from mavdiag.thresholds.envelope import Covered
 from mavdiag.thresholds.rule import GUARANTEE_FLIGHTS, Threshold, ThresholdRule
 from mavdiag.units import NS_PER_S
@@ -170,7 +171,7 @@ class Provenance(Part):
     """Where the baseline came from."""
 
     logs: Annotated[tuple[SourceLog, ...], Field(min_length=1)]
-    created: str  # ISO 8601, UTC
+    created: Annotated[str, AfterValidator(lambda text: (unix_ns(text), text)[1])]  # ISO 8601, UTC
     tool: str
     vehicle: Annotated[int, Field(ge=0, le=255)] = 0  # system id, where it was learnt live
     left_out: tuple[str, ...] = ()  # parts and logs that were given but not learnt, and why

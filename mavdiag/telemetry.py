@@ -3,13 +3,14 @@
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mavdiag.errors import InputError
+from mavdiag.errors import InputError, UsageError
 from mavdiag.printable import counted
 from mavdiag.tabular import Tabular, pandas
 from mavdiag.units import NS_PER_S
@@ -35,6 +36,18 @@ class Instant:
 
     def __sub__(self, earlier: "Instant") -> float:
         return (self.ns - earlier.ns) / NS_PER_S
+
+
+def unix_ns(text: str) -> int:
+    """A time of ISO 8601, UTC unless it says another zone, since 1970 [ns]. Raises UsageError, showing the notation."""
+    try:
+        at = datetime.fromisoformat(text)
+    except (TypeError, ValueError) as error:
+        raise UsageError(f"time {text!r}: write it like 2026-03-01 or 2026-03-01T14:30") from error
+    t_ns = round((at.replace(tzinfo=UTC) if at.tzinfo is None else at).timestamp()) * NS_PER_S
+    if not 0 <= t_ns < 1 << 63:
+        raise UsageError(f"time {text!r}: give one from 1970 to 2262")
+    return t_ns
 
 
 class Axis(StrEnum):

@@ -168,7 +168,7 @@ class Bench:
         pairs = [memory_pair(clock=self.host.now_ns) for _ in range(self.links_behind)]
         self.behind: list[MemoryEndpoint] = [far for _, far in pairs]
         self.open: list[Endpoint] = [near, self.far, *(end for pair in pairs for end in pair)]
-        self.recorder = None if self.record is None else Recorder(self.record, EPOCH_NS, self.host.say)
+        self.recorder = None if self.record is None else Recorder(self.record, self.host.say)
         self.file = None if self.journal is None else Journal(self.journal, self.host.say)
         self.daemon = self.another([near, *(near for near, _ in pairs)])
         self.daemon.begin()

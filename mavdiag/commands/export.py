@@ -29,7 +29,7 @@ def export(
     output: Annotated[Path | None, Option("-o", "--output", help="File to write.  [default: LOG.suffix]")] = None,
     vehicle: Vehicle = None,
     columns: Columns = None,
-    table_key: Annotated[int, Option(min=1, max=200, help="Of the applet's parameters.")] = 151,
+    table_key: Annotated[int | None, Option(min=1, max=200, help="Of the applet's parameters.  [default: 151]")] = None,
 ) -> None:
     """Write a flight's signals for other tools; with a baseline also residuals, statistics and the decision.
 
@@ -43,12 +43,12 @@ def export(
 
         loaded = Baseline.load(lua)
         check_output(output, lua)
-        write_atomically(output, applet(loaded, table_key))
+        write_atomically(output, applet(loaded, 151 if table_key is None else table_key))
         for one in left_out(loaded):
             say(f"left out   {one}")
         return say(f"written to {output}; copy it to APM/scripts of the memory card and set SCR_ENABLE to 1")
-    if log is None or len(chosen) != 1:
-        raise UsageError("name one LOG and one of --mcap, --csv, --parquet; or --lua BASELINE -o FILE")
+    if log is None or len(chosen) != 1 or table_key is not None:
+        raise UsageError("name one LOG and one of --mcap, --csv, --parquet; or --lua BASELINE -o FILE [--table-key N]")
     output = output or Path(log.name).with_suffix(f".{chosen[0]}")
     check_output(output, log, baseline, columns)
     from mavdiag.export import flight

@@ -5,7 +5,6 @@ import sys
 import time
 from contextlib import AbstractContextManager
 from dataclasses import replace
-from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
@@ -27,7 +26,7 @@ from mavdiag.history import show as shown
 from mavdiag.history.warn import Mark, MarkKind, Overview, overview_of
 from mavdiag.printable import printable
 from mavdiag.storage import write_atomically
-from mavdiag.units import NS_PER_S
+from mavdiag.telemetry import unix_ns
 
 if TYPE_CHECKING:
     from mavdiag.history.store import History
@@ -69,7 +68,7 @@ def add(
     if at is not None and ordered == "file-time":
         raise UsageError("--at and --ordered file-time both say when; give one of them")
     reference = Baseline.load(baseline)
-    question = Question.of(reference, Options(vehicle, figures=True, flown_ns=0 if at is None else _time(at)))
+    question = Question.of(reference, Options(vehicle, figures=True, flown_ns=0 if at is None else unix_ns(at)))
     name = reference.airframe.name if airframe is None else airframe
     if not name.strip():
         raise UsageError("the airframe needs a name; give --airframe NAME")
@@ -133,7 +132,7 @@ def mark(
     if new_propellers == repair:
         raise UsageError("say what was done: --new-propellers or --repair")
     kind = MarkKind.NEW_PROPELLERS if new_propellers else MarkKind.REPAIR
-    t_ns = time.time_ns() if at is None else _time(at)
+    t_ns = time.time_ns() if at is None else unix_ns(at)
     with _open(database, write=True) as history:
         history.mark(Mark(airframe, t_ns, kind, printable(note)))
     say(f"{airframe}: {kind.value}, {shown.day(t_ns)}")
@@ -163,17 +162,6 @@ def _open(database: str, *, create: bool = False, write: bool = False) -> "Abstr
     from mavdiag.history.store import open_history  # SQLAlchemy is loaded here and nowhere else
 
     return open_history(database, create=create, write=write)
-
-
-def _time(text: str) -> int:
-    try:
-        at = datetime.fromisoformat(text)
-    except ValueError as error:
-        raise UsageError(f"time {text!r}: write it like 2026-03-01 or 2026-03-01T14:30") from error
-    t_ns = round((at.replace(tzinfo=UTC) if at.tzinfo is None else at).timestamp()) * NS_PER_S
-    if not 0 <= t_ns < 1 << 63:
-        raise UsageError(f"time {text!r}: give one from 1970 to 2262")
-    return t_ns
 
 
 def _flight_line(number: int, record: FlightRecord) -> str:

@@ -33,7 +33,7 @@ from mavdiag.monitors import MONITORS
 from mavdiag.telemetry import Instant, Log, Signal
 from mavdiag.units import NS_PER_S
 
-LISTEN_S = 2.0  # before anything is asked for
+LISTENED_S, LISTEN_S = 5.0, 2.0  # to a link unless told otherwise, and before anything is asked for (our choices)
 ASK_S = 6.0  # for the answers: some thirty parameters at four each 0.2 s, three times (our choice)
 COMPANION_OF = 1  # as whose companion we speak on a link before a vehicle is known
 
@@ -43,8 +43,8 @@ def inspect(
         list[str], typer.Argument(metavar="LOG|DIR|ENDPOINT", help="Logs, folders, patterns; or one link.")
     ],
     duration: Annotated[
-        float, Option(min=0.1, max=3600.0, metavar="S", help="How long to listen to an endpoint.")
-    ] = 5.0,
+        float | None, Option(min=0.1, max=3600.0, metavar="S", help="Listen so long to a link.  [default: 5]")
+    ] = None,
     ask: Annotated[bool, Option("--ask", help="Ask the vehicle for missing streams, and for its rotors.")] = False,
     baseline: Annotated[Path | None, Option(metavar="FILE", help="Show the monitors of this baseline.")] = None,
     columns: opt.Columns = None,
@@ -70,15 +70,17 @@ def inspect(
     told = Airframe() if airframe is None else airframe_from(airframe)
     told = told if layout is None else with_layout(told, layout)
     live = [source for source in sources if opt.is_endpoint(source)]
-    if ask and not live:
-        raise UsageError("--ask is for a link; a log holds what it holds")
+    if not live and (ask or signing_key is not None or duration is not None):
+        raise UsageError("--ask, --duration and --signing-key are for a link; leave them out for a log")
     if live:
+        if (from_s, to_s, columns) != (None,) * 3:
+            raise UsageError("--from, --to and --columns are for logs; leave them out for a link")
         if len(sources) > 1:
             raise UsageError("name one link, or logs")
         key = None if signing_key is None else read_key(signing_key)
         with open_link(live[0], vehicle, profile, key) as link:
             asked = ask_for_all(link, vehicle or COMPANION_OF) if ask else ()
-            log, rates_hz = hear(link, duration)
+            log, rates_hz = hear(link, LISTENED_S if duration is None else duration)
             found = inspection_of(log, told, live[0], judged_by, link.count, rates_hz, asked)
         return say(json_line(found) if as_json else in_full(found))
     named, mapped = opt.find_logs(sources, columns)

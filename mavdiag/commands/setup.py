@@ -101,8 +101,11 @@ def setup(
         accepted(baseline, f"--accept; take flights that are not sound out of {folder}, and run this again")
     baseline.save(baseline_file)
     settings = config_text(endpoint, sysid, folder.resolve(), signing_key)
-    write_atomically(config, settings)
-    say(f"{baseline}\nwritten to {baseline_file}, and for the detector {config}:")
+    kept = config.exists() and config.read_bytes() != settings.encode()  # its user may have changed it
+    if not kept:
+        write_atomically(config, settings)
+    told = " is kept as it is; for what this run would write, remove it and run this again" * kept
+    say(f"{baseline}\nwritten to {baseline_file}, and for the detector {config}{told}:")
     check = [sys.executable, "-m", "detector", "--config", str(config), "--check"]
     if subprocess.run(check, check=False).returncode:
         raise UsageError(f"the detector refuses {config}; see above")
@@ -155,7 +158,6 @@ class _Coach:
         self._asker = Asker(link.vehicle or COMPANION_OF, link.signing)
         self._first = len(passed)  # frames with the parameters, which the first recording gets
         self._flights = 0  # that were waited for
-        self._epoch_ns = time.time_ns() - time.monotonic_ns()
         self._told: tuple[str, Instant] | None = None  # what, without its figures, and when
         self._silent = False  # whether that was said
 
@@ -197,7 +199,8 @@ class _Coach:
         if file is None:
             del self._passed[self._first : -KEPT]
             return
-        records = [tlog_record((self._epoch_ns + ns) // NS_PER_US, frame) for frame, ns in self._passed]
+        epoch_ns = time.time_ns() - time.monotonic_ns()  # the wall clock may have been set meanwhile
+        records = [tlog_record((epoch_ns + ns) // NS_PER_US, frame) for frame, ns in self._passed]
         file.write(b"".join(records))
         self._passed.clear()
         self._first = 0
@@ -252,9 +255,7 @@ def service_script(folder: Path, unit: Path, programs: Path) -> str:
     return f"""#!/bin/sh
 set -e
 install -D -m 644 {here}/{BASELINE} {there}/{BASELINE}
-mkdir -p /etc/mavdiag
-sed {moved} {here}/{CONFIG} > /etc/mavdiag/{CONFIG}
-chmod 644 /etc/mavdiag/{CONFIG}
+sed {moved} {here}/{CONFIG} | install -D -m 644 --backup=numbered /dev/stdin /etc/mavdiag/{CONFIG}
 sed {placed} {shlex.quote(str(unit))} > /etc/systemd/system/{UNIT}
 systemctl daemon-reload
 systemctl enable --now {UNIT}

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from mavdiag.decision.diagnosis import Change, Stage
-from mavdiag.errors import check_installed
+from mavdiag.errors import InputError, check_installed
 from mavdiag.judging import JudgedFlight
 from mavdiag.storage import replacing
 from mavdiag.telemetry import FloatArray, IntArray, Log
@@ -67,11 +67,13 @@ def topics_of(log: Log, judged: JudgedFlight | None = None) -> Iterator[Topic]:
 def write_mcap(path: Path, log: Log, topics: Sequence[Topic], changes: Sequence[Change]) -> None:
     """Write an MCAP file, its messages in order of time; of the wall clock where the log knows it.
 
-    Raises UsageError without the library, or if it cannot be written.
+    Raises UsageError without the library, or if it cannot be written; InputError if no topic has a figure.
     """
     check_installed("MCAP", "mcap", "export")
     from mcap.writer import Writer
 
+    if not any(len(topic.t_ns) for topic in topics):
+        raise InputError(f"{log.name}: there is nothing to write; give a log with signals (see `mavdiag look`)")
     t_ns = np.concatenate([topic.t_ns for topic in topics])
     whose = np.repeat(np.arange(len(topics)), [len(topic.t_ns) for topic in topics])
     rows = np.concatenate([np.arange(len(topic.t_ns)) for topic in topics])

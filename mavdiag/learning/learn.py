@@ -9,7 +9,7 @@ the sensors feel of it: one short hover tells what these are now, and the old fl
 """
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
@@ -50,7 +50,7 @@ from mavdiag.monitors.run_length import MarginRule, RunLength
 from mavdiag.printable import counted
 from mavdiag.rows.front import Rows
 from mavdiag.storage import Shelf, give_back, keep_freed
-from mavdiag.telemetry import Axis, Log, Series, Signal, Telemetry
+from mavdiag.telemetry import Axis, Log, Series, Signal, Telemetry, unix_ns
 from mavdiag.thresholds.envelope import Covered
 from mavdiag.thresholds.heldout import Scores, by_axis, folds, maxima, pooled, score
 from mavdiag.thresholds.rule import (
@@ -119,12 +119,13 @@ Fitted: TypeAlias = tuple[Monitor[Any], Scores]  # by its fit to all flights, an
 
 
 def learn(flights: Iterable[Log], options: LearnOptions, *, created: str) -> Baseline:
-    """A baseline from healthy flights. created: time stamp to record, ISO 8601 UTC.
+    """A baseline from healthy flights. created: time stamp to record, ISO 8601 UTC; UsageError is raised for another.
 
     Each flight is taken once, and put aside: flights that are read as they are taken, `(read_log(path) for path in
     paths)`, are never in memory together. A monitor that cannot work on such flights is recorded with its reason.
     Raises InputError if a flight lacks the gyro or never flies, and IdentificationError if no monitor can work.
     """
+    unix_ns(created)
     with Shelf() as shelf:
         keep_freed(KEPT_BYTES)  # half of the page faults
         held = [hold(log, shelf) for log in flights]
@@ -151,13 +152,17 @@ def learn(flights: Iterable[Log], options: LearnOptions, *, created: str) -> Bas
         if not fitted:
             reasons = "; ".join(f"{refusal.monitor}: {refusal.reason}" for refusal in refusals)
             raise IdentificationError(f"no monitor can judge such flights ({reasons})")
+        promises = options.alarms_per_hour, options.flights_per_suspicion
         how = {name: getattr(front.align, name) for name in ("dt_s", "grid", "max_gap_s")}
         baseline = Baseline(
             airframe=airframe,
             link=Link(profile=first.profile, gate=front.gate, **how),
             window=Window(samples=front.rates.window, order=2),
             link_quality=front.align.quality,
-            monitors=tuple(_entries(fitted, options, sessions)),
+            monitors=tuple(
+                _entry(monitor.spec, scores, sessions, share, options.rule)
+                for (monitor, scores), share in zip(fitted, _shares(fitted, sessions, promises), strict=True)
+            ),
             not_judgeable=tuple(refusals),
             envelope=covered_by(rows),
             healthy_hours=sum(flight.judged_s for flight in learnt) / 3600,
@@ -259,13 +264,6 @@ def _scores(monitors: Sequence[Monitor[Any]], flight: Sequence[Rows], number: in
     return [maxima(np.concatenate([values for values, _ in parts]), parts[-1][1], number) for parts in found]
 
 
-def _entries(fitted: Sequence[Fitted], options: LearnOptions, sessions: Sequence[int]) -> Iterator[MonitorEntry]:
-    """Specification and threshold of each monitor."""
-    promises = options.alarms_per_hour, options.flights_per_suspicion
-    for (monitor, scores), share in zip(fitted, _shares(fitted, sessions, promises), strict=True):
-        yield _entry(monitor.spec, scores, sessions, share, options.rule)
-
-
 def _shares(
     fitted: Sequence[Fitted], sessions: Sequence[int], promises: tuple[float, float]
 ) -> list[tuple[float, float]]:
@@ -319,6 +317,7 @@ def extend(baseline: Baseline, flights: Iterable[Log], *, new_propellers: bool =
     Raises InputError, naming the flight, for one that is in it already, is named twice, never flies or falls, or is of
     another vehicle; BaselineError for one over another link; IdentificationError for one too short for a monitor.
     """
+    unix_ns(created)
     with Shelf() as shelf:
         held = [hold(flight, shelf) for flight in flights]
         if not held:
@@ -430,4 +429,4 @@ def warm() -> None:
     values |= {Signal.ACTUATOR: 0.5 + noise, Signal.ROTOR_SPEED: 1e3 * np.sqrt(0.5 + noise)}
     flight = Telemetry(tuple(Series(signal, t_ns, t_ns, found) for signal, found in values.items()))
     options = LearnOptions(airframe=Airframe(layout=layout_named("x")))
-    learn([Log("made up", "", "qdrone2", flight)], options, created="")
+    learn([Log("made up", "", "qdrone2", flight)], options, created="1970-01-01")

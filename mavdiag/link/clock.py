@@ -251,7 +251,7 @@ def _begin(
 @jit
 def _unwrapped(mem: Fields, reading: Fields, tick: int, turn: int, raw: int, now_ns: int) -> tuple[int, int]:
     """What the stamp is, and the message's own clock [ns]. The reading goes on, unless the counter has broken off."""
-    elapsed_ns = max(now_ns - reading.host_ns, 0)
+    elapsed_ns = max(now_ns - reading.host_ns, reading.host_ns - now_ns - GONE_NS, 0)  # far back: a part of its own
     step = raw - reading.count
     if turn:
         step = raw - reading.count % turn
@@ -292,7 +292,8 @@ def _unwrapped(mem: Fields, reading: Fields, tick: int, turn: int, raw: int, now
             return _LEFT_OUT, clock_ns
     elif step * tick < -LATE_NS:
         return _BROKEN_OFF if elapsed_ns >= SILENT_NS else _LEFT_OUT, clock_ns
-    reading.host_ns, reading.line_ns, reading.rivals = now_ns, max(reading.line_ns, ahead_ns), 0
+    reading.host_ns, reading.rivals = now_ns, 0
+    reading.line_ns = ahead_ns if beyond_ns < -JUMP_SLACK_NS else max(reading.line_ns, ahead_ns)
     reading.count += max(step, 0)
     return _IN_LINE, clock_ns
 
@@ -300,7 +301,8 @@ def _unwrapped(mem: Fields, reading: Fields, tick: int, turn: int, raw: int, now
 @jit
 def _rebooted(mem: Fields, reading: Fields, clock_ns: int, now_ns: int) -> bool:
     """Whether a stamp out of line is the last of several that show that the vehicle has started anew."""
-    silent_ns = now_ns - mem.seen_ns[int(clock_ns >= EPOCH_NS)]
+    ago_ns = now_ns - mem.seen_ns[int(clock_ns >= EPOCH_NS)]
+    silent_ns = max(ago_ns, -ago_ns - GONE_NS)
     early = silent_ns < (SILENT_NS if clock_ns <= silent_ns + UPTIME_SLACK_NS else GONE_NS)
     advance_ns = clock_ns - mem.rival_ns
     if early or (mem.rivals and abs(advance_ns - (now_ns - mem.rival_host_ns)) > LATE_NS):
@@ -342,10 +344,10 @@ def _placed(mem: Fields, leads: Records, offsets: Records, clock_ns: int, now_ns
     if t_ns != NEVER:
         t_ns += mem.base_ns
         mem.t_ns = max(mem.t_ns, t_ns)
-    mem.host_ns = max(mem.host_ns, now_ns)
+    mem.host_ns = now_ns
     epoch = int(clock == _UNIX)
     if clock != _BOOT_US_32 and clock_ns >= mem.high_ns[epoch] - GONE_NS:  # else a clock of its own
-        if now_ns > mem.seen_ns[epoch]:
+        if now_ns != mem.seen_ns[epoch]:
             mem.seen_ns[epoch] = now_ns
             if mem.rivals and int(mem.rival_ns >= EPOCH_NS) == epoch:
                 mem.rivals = 0

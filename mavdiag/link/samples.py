@@ -28,6 +28,10 @@ from mavdiag.telemetry import FloatArray, IntArray, Series, Signal, Telemetry
 from mavdiag.units import DEG, NS_PER_S, RPM
 
 Words: TypeAlias = IntArray  # 8 bytes each, one at every byte
+Laid: TypeAlias = tuple[Bytes, Words, Any]  # bytes, words at every one of them, and records or numbers in them
+Table: TypeAlias = tuple[NDArray[np.int16], Any, Any, IntArray]
+Memory: TypeAlias = tuple[tuple[Any, Any, Any, Any], Any]
+Filled: TypeAlias = tuple[IntArray, IntArray, FloatArray, IntArray]
 
 # Columns of ACTUATOR and of ROTOR_SPEED, always: unused outputs are 0, rotors never reported NaN.
 ACTUATORS = ROTORS = 16
@@ -351,8 +355,8 @@ def _heartbeat(words: Words, part: Any, host_ns: int, memory: Any, out: FloatArr
         return False
     out[0] = 1.0 if armed else 0.0
     if armed:
-        memory.armed_ns = max(memory.armed_ns, host_ns)
-    doubted = not armed and memory.armed_ns > NEVER and host_ns - memory.armed_ns < DISARMED_NS
+        memory.armed_ns = host_ns
+    doubted = not armed and memory.armed_ns > NEVER and abs(host_ns - memory.armed_ns) < DISARMED_NS
     memory.contrary += int(doubted)
     return not doubted
 
@@ -405,13 +409,7 @@ def _room(rows: NDArray[Any], lookup: NDArray[np.int16], sources: Any, parts: An
 
 
 @cached
-def _convert(
-    frames: tuple[Bytes, Words, NDArray[Any]],
-    given_ns: IntArray,
-    table: tuple[NDArray[np.int16], Any, Any, IntArray],
-    memory: tuple[tuple[Any, Any, Any, Any], Any],
-    payload: tuple[Bytes, Words, Any],
-) -> tuple[IntArray, IntArray, FloatArray, IntArray]:
+def _convert(frames: Laid, given_ns: IntArray, table: Table, memory: Memory, payload: Laid) -> Filled:
     """Times, times of arrival and values of all signals; and where each one's rows and values begin, and how many."""
     lookup, sources, parts, widths = table
     filled = _room(frames[2], lookup, sources, parts, widths)
@@ -424,14 +422,7 @@ def _convert(
 
 
 @jit
-def _fill(
-    frames: tuple[Bytes, Words, NDArray[Any]],
-    given_ns: IntArray,
-    table: tuple[NDArray[np.int16], Any, Any, IntArray],
-    memory: tuple[tuple[Any, Any, Any, Any], Any],
-    payload: tuple[Bytes, Words, Any],
-    signals: tuple[IntArray, IntArray, FloatArray, IntArray],
-) -> None:
+def _fill(frames: Laid, given_ns: IntArray, table: Table, memory: Memory, payload: Laid, signals: Filled) -> None:
     rows, (lookup, sources, parts, _), (time, own) = frames[2], table, (memory[0], memory[1][0])
     (t_ns, host_ns, values, filled), k = signals, 0
     while k < len(rows):
@@ -457,7 +448,7 @@ def _fill(
 
 
 @inline
-def _lay(data: Bytes, words: Words, begin: int, size: int, length: int, payload: tuple[Bytes, Words, Any]) -> None:
+def _lay(data: Bytes, words: Words, begin: int, size: int, length: int, payload: Laid) -> None:
     """Copy a payload to where its numbers are read. size: of it; up to its length the zeros behind it were trimmed."""
     for k in range(0, length, 8):
         payload[1][k] = 0

@@ -6,7 +6,7 @@ lets a vehicle enter only with two like heartbeats and running numbers that are 
 """
 
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -35,7 +35,7 @@ from mavdiag.link.samples import SOURCES, SampleDecoder, SampleState, warm
 from mavdiag.link.samples import Source as Measured
 from mavdiag.link.sequence import Intruder, LinkCount, Source
 from mavdiag.link.signing import Signing
-from mavdiag.telemetry import Signal, Telemetry
+from mavdiag.telemetry import BoolArray, Signal, Telemetry
 from mavdiag.units import NS_PER_S
 
 WATCH_S = 1.0  # how long a new vehicle's frames are watched for its profile (our choice)
@@ -47,6 +47,8 @@ RECHECK_S = 0.5  # how often a vehicle that waits is looked at again (our choice
 BEATS_S = (0.2, 10.0)  # how far two heartbeats are apart that show a vehicle: it sends one a second (our choice)
 CLEAR_FRAMES = 512  # of a vehicle that are enough to see its profile (our choice)
 LAST_RESORT_S = 30.0  # without any IMU message, before the rates of ATTITUDE are read instead (our choice)
+# Of a log so much is taken at once, as live, where only other IMU messages come for so many times a gyro's usual step.
+LOOK_NS, PAUSE = NS_PER_S // 20, 4.0  # our choices
 USEFUL_FRAMES = 20  # of an IMU message, before it is taken at once (our choice)
 CHOICE_S = 1.0  # for which the choice stays open otherwise, from the first IMU message of any kind on (our choice)
 STOPPED_S = 3.0  # for which another IMU message must be the only one that comes, or the better one (our choice)
@@ -195,13 +197,33 @@ class VehicleStream:
             merged = {**self.parameters, **told}
             self.parameters = merged if len(merged) <= MOST_PARAMETERS else self.parameters
             self.state.take_parameters(self.parameters)
-        telemetry = self._decoder.step(self.state, self._of_sensor(frames) if self.sensor else frames)
+        others = frames.rows["row"] != ROWS[self.profile.imu]
+        read = frames.where(others | self._reads(frames)) if self.sensor else frames
+        telemetry = self._decoder.step(self.state, read)
         own = self.profile.imu == self._own.imu and not self.sensor
         if own and telemetry.get(Signal.BODY_RATE) is not None:
             self._worse_ns = 0
         elif self._settled and len(imus := frames.of(*IMU_MESSAGES, compid=AUTOPILOT)):
             self._choose_again(imus)
         return telemetry
+
+    def take_log(self, frames: Frames) -> Iterator[Telemetry]:
+        """Take many frames, as of a log: at once, but look by look where another IMU message may have to be chosen."""
+        at_ns, cut = frames.rows["host_ns"], len(frames) // 2
+        if len(frames) and not self._settled:
+            cut = int(np.argmax(np.append(at_ns > at_ns[0] + WATCH_S * NS_PER_S, True)))
+            self._choose_imu(frames.where(slice(cut)))
+        imus = frames.of(*IMU_MESSAGES, compid=AUTOPILOT)
+        imu_ns, read = imus.rows["host_ns"], self._reads(imus)
+        usual_ns = np.median(np.diff(imu_ns[read])) if np.count_nonzero(read) > 1 else 0
+        alone_ns = imu_ns - np.maximum.accumulate(np.where(read, imu_ns, at_ns[:1]))
+        steady = self._settled and alone_ns.max(initial=0) < max(LOOK_NS, PAUSE * usual_ns)
+        steady = steady and with_imu(self._own, frames.counts()).imu == self.profile.imu
+        if steady or cut in (0, len(frames)) or np.ptp(at_ns) < LOOK_NS:
+            yield self.step(frames)
+        else:
+            for part in (slice(cut), slice(cut, None)):
+                yield from self.take_log(frames.where(part))
 
     def _choose_again(self, imus: Frames) -> None:
         """Take another message, or another sensor's rows of the same, once it was the better choice for `STOPPED_S`."""
@@ -222,11 +244,12 @@ class VehicleStream:
             self.sensor, self._worse_ns = sensor, 0
             self._decoder = SampleDecoder(chosen, map(_any_sensor, SOURCES) if sensor else SOURCES)
 
-    def _of_sensor(self, frames: Frames) -> Frames:
-        """Without the rows of the IMU message that are another sensor's."""
-        own = frames.rows["row"] == ROWS[self.profile.imu]
-        own[own] = frames.where(own).records(_NUMBERED[self.profile.imu])["id"] != self.sensor
-        return frames.where(~own)
+    def _reads(self, frames: Frames) -> BoolArray:
+        """Which of them the gyro is read from."""
+        own: BoolArray = frames.rows["row"] == ROWS[self.profile.imu]
+        if (numbered := _NUMBERED.get(self.profile.imu)) is not None:
+            own[own] = frames.where(own).records(numbered)["id"] == self.sensor
+        return own
 
     def _choose_imu(self, frames: Frames) -> None:
         self._imu = np.concatenate((self._imu, frames.of(*IMU_MESSAGES, compid=AUTOPILOT).rows))[-CLEAR_FRAMES:]

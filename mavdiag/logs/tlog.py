@@ -24,9 +24,10 @@ from mavdiag.link.codec import AUTOPILOT, STAMP_BYTES, Decoder, Frame, Frames
 from mavdiag.link.datagrams import Bytes
 from mavdiag.link.messages import MessageId
 from mavdiag.link.parameters import parameters_in
-from mavdiag.link.profiles import IMU_MESSAGES, PROFILES, Evidence, detect_profile, profile_named, with_imu
-from mavdiag.link.samples import SampleDecoder, SampleState, joined
+from mavdiag.link.profiles import IMU_MESSAGES, PROFILES, Evidence, detect_profile, profile_named
+from mavdiag.link.samples import SampleDecoder, joined
 from mavdiag.link.sequence import FRAME, PLAIN, LinkCount
+from mavdiag.link.vehicles import VehicleStream
 from mavdiag.logs.log import TLOG_BYTES, LogKind, windows_of
 from mavdiag.storage import Column, forget, open_regular
 from mavdiag.telemetry import EARLIEST_NS, Log, Telemetry
@@ -162,15 +163,16 @@ def _flights(path: Path, profile: str | None, vehicle: int | None, *, several: b
         if known is None:
             remedy = "name it with `mavdiag look --profile` (in Python, read_log takes a profile)"
             raise InputError(f"{path}: vehicle {sysid}: {why}; {remedy}")
-        decoder = SampleDecoder(with_imu(known, system.counts))
+        stream = VehicleStream(known)
         pieces = content.pieces if sysid == sysids[-1] else content.pieces.copy()
-        parameters, state = parameters_in(content.parameters[sysid], known.autopilot), SampleState()
-        state.take_parameters(parameters)
-        telemetry = joined(_converted(path, pieces, content.latest, sysid, decoder, state))
+        parameters = parameters_in(content.parameters[sysid], known.autopilot)
+        stream.state.take_parameters(parameters)
+        telemetry = joined(_converted(path, pieces, content.latest, sysid, stream))
         name = path.name if len(sysids) == 1 else f"{path.name} vehicle {sysid}"
-        leaps = [f"{n} samples are left out: their stamps leap"] if (n := state.timeline.leaps) >= LEAPS else []
-        begins_ns = min((int(series.host_ns[0]) for series in telemetry if len(series)), default=0)
-        started_ns, notes = begins_ns if begins_ns > EARLIEST_NS else 0, (*content.notes, *left_out, *leaps)
+        leaps = [f"{n} samples are left out: their stamps leap"] if (n := stream.state.timeline.leaps) >= LEAPS else []
+        dated = ((x.t_ns[k], x.host_ns[k]) for x in telemetry for k in np.flatnonzero(x.host_ns > EARLIEST_NS)[:1])
+        t_ns, host_ns = map(int, min(dated, default=(telemetry.first_ns, 0)))  # since the recorder's clock is set
+        started_ns, notes = host_ns - (t_ns - telemetry.first_ns), (*content.notes, *left_out, *leaps)
         named = (name, digest.hexdigest(), known.name, telemetry, started_ns, notes, parameters)
         yield Log(*named, mav_type=types.get(sysid), vehicle=sysid)
 
@@ -197,7 +199,7 @@ def _summed(path: Path, update: Callable[[bytes], None]) -> Iterator[bytes]:
 
 
 def _converted(
-    path: Path, pieces: list[_Piece], latest: Bytes, sysid: int, decoder: SampleDecoder, state: SampleState
+    path: Path, pieces: list[_Piece], latest: Bytes, sysid: int, stream: VehicleStream
 ) -> Iterator[Telemetry]:
     """The telemetry of one vehicle, piece by piece; uses the pieces up. latest: the bytes of the last one."""
     pieces.reverse()
@@ -210,7 +212,7 @@ def _converted(
                 raise InputError(f"{path}: it became shorter while it was read; read it again")
             own = _of_system(Frames(data, rows), sysid)
             forget(rows)
-            yield decoder.step(state, own)
+            yield from stream.take_log(own)
 
 
 def _of_system(frames: Frames, sysid: int) -> Frames:

@@ -163,7 +163,7 @@ class Journal:
     """The journal of a detector, followed while it is written, over rotations too. vehicles: by system id."""
 
     def __init__(self, path: Path) -> None:
-        self._path, self._stack = path, ExitStack()
+        self.path, self._stack = path, ExitStack()
         self._open()
         self.vehicles: dict[int, VehicleStory] = {}
         self.damaged = self.sound = 0  # lines
@@ -183,12 +183,12 @@ class Journal:
         self._stack.close()
 
     def _open(self) -> None:
-        self._file, self._begun = self._stack.enter_context(open_regular(self._path, JOURNAL_BYTES)), b""
+        self._file, self._begun = self._stack.enter_context(open_regular(self.path, JOURNAL_BYTES)), b""
 
     def _rotated(self) -> bool:
         """Whether another file has the journal's name now; between the two there is none."""
         try:
-            return not os.path.samestat(self._path.stat(), os.fstat(self._file.fileno()))
+            return not os.path.samestat(self.path.stat(), os.fstat(self._file.fileno()))
         except FileNotFoundError:
             return False
 
@@ -218,7 +218,7 @@ def follow(journal: Journal, vehicle: int | None, ended: Callable[[], bool]) -> 
             last = ended()
             found = [(number, line) for number, line in journal.read() if vehicle in (None, number)]
             if journal.damaged and not journal.sound:
-                raise InputError("no journal of a detector; name the file of its --journal, or a link")
+                raise InputError(f"{journal.path}: no journal of a detector; name the file of its --journal, or a link")
             several = vehicle is None and len(journal.vehicles) > 1
             fresh = [replace(line, text=f"vehicle {n}: {line.text}") if several else line for n, line in found]
             screen.show(fresh, last=last)

@@ -341,9 +341,9 @@ def test_an_error_of_the_program_takes_off_one_vehicle_alone(tmp_path: Path, mon
 
 
 @pytest.mark.parametrize("days", [-400, 400])
-def test_a_step_of_the_wall_clock_changes_nothing_and_one_of_the_vehicles_is_told(watching: Benches, days: int) -> None:
+def test_a_set_wall_clock_changes_nothing_and_a_vehicles_is_told(watching: Benches, days: int, tmp_path: Path) -> None:
     host = VirtualHost()
-    bench = watching(host=host)
+    bench = watching(host=host, record=tmp_path / "a.tlog")
     (before,) = bench.daemon.fleet.figures()
     host.ahead = timedelta(days=days)
     bench.run(5.0)
@@ -351,6 +351,7 @@ def test_a_step_of_the_wall_clock_changes_nothing_and_one_of_the_vehicles_is_tol
     assert after.judged_s == pytest.approx(before.judged_s + 5.0, abs=0.1)
     session = bench.daemon.fleet.vehicles[1].session
     assert session.unix_offset_ns - session.spec.unix_offset_ns == pytest.approx(days * 86400e9, abs=1e9)
+    assert np.ptp(read_tlog(tmp_path / "a.tlog")["body_rate"].host_ns) == pytest.approx(abs(days) * 86400e9, rel=1e-3)
     bench.vehicles[0].sent -= 40
     bench.run(5.0)
     assert texts(received(bench.far))[-1] == "PROP clock of the vehicle was set back"
@@ -393,8 +394,7 @@ def test_l3_a_station_that_resets_rates_costs_a_tenth_of_the_time(baseline: Base
     assert not any(State.FAULTED in line for line in bench.host.lines)
     span_s, judged_s = np.subtract(flight.judged_s[-1], next(one for one in flight.judged_s if one[0] >= SETTLED_S))
     assert judged_s >= 0.9 * span_s
-    assert len(station.times) == 4
-    assert len(requests) == len(station.times)  # one each: it is answered, and nobody fights
+    assert (len(station.times), len(requests)) == (4, 4)  # one each: it is answered, and nobody fights
     assert any("does a ground station set it? (MAVProxy: set streamrate -1)" in line for line in bench.host.lines)
 
 

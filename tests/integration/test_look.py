@@ -349,6 +349,7 @@ def test_a_bare_vehicle_is_set_up_though_stopped_in_flight(profile: str, autopil
     for _ in range(30):
         vehicle.receive(1.0)
 
+    (folder / CONFIG).write_text(mine := config_text(LINK, 1, folder.resolve(), None) + "# own\n" * (profile == "px4"))
     with coached(vehicle) as lines:
         setup(LINK, folder, yes=True)
     tasks = [line.split(":")[0].removeprefix("now ") for line in lines if line.startswith("now ")]
@@ -365,7 +366,7 @@ def test_a_bare_vehicle_is_set_up_though_stopped_in_flight(profile: str, autopil
     for words in ("fly in steady wind to widen it", f"grade      {baseline.grade}", "notices    a loss of thrust of"):
         assert words in shown, words
     settings = load_settings(folder / CONFIG, {})
-    assert (settings.connect, settings.vehicle) == (LINK, 1)
+    assert (settings.connect, settings.vehicle, (folder / CONFIG).read_text()) == (LINK, 1, mine)
     assert settings.baseline is not None
     assert Baseline.load(settings.baseline).digest == baseline.digest
 
@@ -373,7 +374,7 @@ def test_a_bare_vehicle_is_set_up_though_stopped_in_flight(profile: str, autopil
 def test_the_service_finds_what_was_moved_whatever_the_folder_is_called(tmp_path: Path) -> None:
     (folder := tmp_path / 'a|b [1] "').mkdir()
     (folder / CONFIG).write_text(config_text(LINK, 1, folder, None))
-    command = service_script(folder, Path("unit"), Path("bin")).split(" > ")[0].split("\n")[-1]
+    command = service_script(folder, Path("unit"), Path("bin")).split(" | install")[0].split("\n")[-1]
     assert f'"{HOME / BASELINE}"' in subprocess.check_output(["sh", "-c", command], text=True)
 
 

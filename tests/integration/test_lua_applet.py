@@ -200,7 +200,7 @@ def baseline_of(telemetry: Telemetry, layout: RotorLayout, gate: GateSpec, outpu
         not_judgeable=(),
         envelope=covered_by([rows]),
         healthy_hours=0.1,
-        provenance=Provenance(logs=(SourceLog(name="healthy", sha256="", judged_s=60.0),), created="2026", tool="test"),
+        provenance=Provenance(logs=(SourceLog(name="a", sha256="", judged_s=60.0),), created="2026-01-01", tool="test"),
     )
 
 

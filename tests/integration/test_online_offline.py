@@ -153,8 +153,7 @@ def test_the_command_passes_messages_both_ways_and_says_what_became_of_them() ->
             back = [data for data, _ in vehicle.receive(PATIENCE_S)]
         child.send_signal(signal.SIGINT)
         said, _ = child.communicate(timeout=PATIENCE_S)
-    assert (got, back) == ([b"one", b"one"], [b"back"])
-    assert child.returncode == 0
+    assert (got, back, child.returncode) == ([b"one", b"one"], [b"back"], 0)
     assert "from IN to OUT: 1 offered, 2 passed, 0 lost, 0 overflowed, 1 duplicated" in said
     assert "from OUT to IN: 1 offered, 1 passed" in said
 

@@ -175,6 +175,8 @@ def test_mcap_has_every_signal_and_statistic_in_order_of_the_wall_clock(tmp_path
     texts = [json.loads(message.data) for topic, message in found if topic == "/log"]
     assert [one["level"] for one in texts].count(4) >= 1
     assert any("rotor 3" in one["message"] for one in texts)
+    with pytest.raises(md.InputError, match=r"^weak\.ulg: there is nothing to write"):
+        write_mcap(tmp_path / "x.mcap", WEAK, [], ())
 
 
 @pytest.mark.parametrize("kind", ["csv", "parquet"])

@@ -259,9 +259,7 @@ def test_the_dashboard_asks_only_for_figures_and_labels_that_there_are(metrics: 
 
 
 @pytest.mark.parametrize(("autopilot", "alive"), [(Autopilot.GENERIC, True), (Autopilot.ARDUPILOTMEGA, False)])
-def test_the_daemon_gives_a_sign_of_life_unless_all_sessions_are_off(
-    autopilot: Autopilot, alive: bool, tmp_path: Path
-) -> None:
+def test_the_daemon_gives_a_sign_of_life_unless_all_are_off(autopilot: Autopilot, alive: bool, tmp_path: Path) -> None:
     """As where the baseline is of another profile."""
     settings, signs = Settings(connect="udpin:127.0.0.1:0", baseline=Path("b.json")), list[str]()
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:

@@ -73,6 +73,8 @@ def test_flights_that_cannot_teach_are_named(logs: list[Log], says: str) -> None
         learn(logs, ROLL, created=NOW)
     with pytest.raises(InputError, match=r"f3: only 0\.0 s .*without the first 5 s after a take-off"):
         learn([made(3, flight(4000, 3))], LearnOptions(), created=NOW)
+    with pytest.raises(UsageError, match="time 'yesterday': write it like"):
+        learn(logs, ROLL, created="yesterday")
 
 
 @pytest.mark.parametrize(
@@ -95,8 +97,7 @@ def test_b11_one_monitor_s_need_does_not_hinder_another() -> None:
     """B11: no baseline could be made without an ARX model of roll."""
     hover = changed(flying(3000, 1), Signal.ATTITUDE_SETPOINT, np.zeros_like)
     found = learn([made(1, hover, "px4")], LearnOptions(airframe=FRAME, monitors=("rotor_trim",)), created=NOW)
-    assert [entry.spec.kind for entry in found.monitors] == ["rotor_trim"]
-    assert found.not_judgeable == ()
+    assert ([entry.spec.kind for entry in found.monitors], found.not_judgeable) == (["rotor_trim"], ())
     both = learn([made(1, hover, "px4")], LearnOptions(airframe=FRAME, monitors=("fsd", "rotor_trim")), created=NOW)
     assert [entry.spec.kind for entry in both.monitors] == ["rotor_trim"]
     assert {one.monitor for one in both.not_judgeable} == {"fsd"}
@@ -296,8 +297,7 @@ def logs(*started_ns: int) -> list[Log]:
     ],
 )
 def test_the_wall_clock_tells_the_sessions(started: list[int], sessions: list[int]) -> None:
-    assert sessions_of(logs(*started)) == sessions
-    assert sessions_of(logs(*[MONDAY] * 5), 2) == [0, 0, 0, 1, 1]  # what is told counts more
+    assert (sessions_of(logs(*started)), sessions_of(logs(*[MONDAY] * 5), 2)) == (sessions, [0, 0, 0, 1, 1])  # or told
 
 
 @pytest.mark.parametrize(("flights", "each", "count"), [(12, 2, 6), (30, 2, 10), (50, 1, 5)])
@@ -476,8 +476,7 @@ def test_a_flight_of_a_session_that_is_in_already_joins_that_one() -> None:
     """And not the last one of the baseline."""
     made = extend(tuesday(), [flown(13, MONDAY + 1800 * NS_PER_S), flown(14), flown(15, MONDAY + 9 * DAY)], created=NOW)
     first, unknown, new = (one.session for one in made.provenance.logs[-3:])
-    assert (first, len({0, 1, unknown, new})) == (0, 4)
-    assert entry(made, "rotor_trim").threshold.sessions == 4
+    assert (first, len({0, 1, unknown, new}), entry(made, "rotor_trim").threshold.sessions) == (0, 4, 4)
 
 
 def test_flights_that_are_added_count_as_if_they_had_been_learnt_with_the_others() -> None:

@@ -36,6 +36,7 @@ from pymavlink import mavutil
 from shared_data import written
 
 from mavdiag.errors import InputError
+from mavdiag.link.clock import REBOOT_GAP_NS
 from mavdiag.link.codec import UNKNOWN, Encoder
 from mavdiag.link.messages import Autopilot, MavType, MessageId
 from mavdiag.link.signing import Signing
@@ -471,11 +472,11 @@ def heartbeat(encoder: Encoder, kind: MavType = MavType.QUADROTOR, autopilot: in
     return encoder.encode(MessageId.HEARTBEAT, kind, autopilot, 128, 0, 4, 3)
 
 
-def records(sysid: int = 1, n: int = N, scale: int = 1000) -> list[bytes]:
+def records(sysid: int = 1, n: int = N, scale: int = 1000, late_us: int = 0) -> list[bytes]:
     """n setpoints and IMU samples at 100 Hz, a heartbeat a second, and messages that nobody asks for."""
     encoder, found = Encoder(sysid, 1), []
     for k in range(n):
-        time_us = START_US + 10_000 * k
+        time_us = START_US + 10_000 * k + late_us
         q, t_ms = (1.0, 0.001 * k, 0.0, 0.0), 5_000 + 10 * k
         frames = [encoder.encode(MessageId.ATTITUDE_TARGET, t_ms, 0, q, 0, 0, 0, 0.5)]
         frames.append(encoder.encode(MessageId.RAW_IMU, 1_000 * t_ms, k, 0, -scale, -k, 2, 3))
@@ -493,14 +494,18 @@ def test_a_whole_log_is_read(tmp_path: Path) -> None:
     assert (log.started_ns, log.epoch_ns) == (START_US * 1000, START_US * 1000 - 5_000_000_000)
     unset = b"".join(k.to_bytes(8, "big") + record[8:] for k, record in enumerate(records()))
     assert read_log(written(tmp_path / "unset.tlog", unset)).started_ns == 0
+    set_late = unset[: len(unset) // 3] + data[len(before) + len(unset) // 3 :]
+    assert read_log(written(tmp_path / "set.tlog", set_late)).epoch_ns == log.epoch_ns
+    t_ns = read_log(written(tmp_path / "2.tlog", data + b"".join(records(n=900, late_us=-(10**11)))))["body_rate"].t_ns
+    assert N + 890 < len(t_ns) <= N + 900
+    assert (np.diff(t_ns) > REBOOT_GAP_NS - 1).sum() == 1
     rate = log.telemetry.need(Signal.BODY_RATE)
     assert rate.t_ns.tolist() == [5_000_000_000 + 10_000_000 * k for k in range(N)]
     assert rate.host_ns.tolist() == [1000 * START_US + 10_000_000 * k for k in range(N)]
     np.testing.assert_allclose(rate.values[-1], [-0.001 * (N - 1), 0.002, 0.003])
     assert len(log.telemetry.need(Signal.ATTITUDE_SETPOINT)) == N
     content = decode_tlog([data])
-    assert (content.records, content.damaged_bytes) == (3 * N + 4, 0)
-    assert content.senders[1, 1].lost == 0
+    assert (content.records, content.damaged_bytes, content.senders[1, 1].lost) == (3 * N + 4, 0, 0)
 
 
 @pytest.mark.parametrize("seed", range(5))

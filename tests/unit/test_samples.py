@@ -147,9 +147,7 @@ def test_px4_tells_the_unit_of_its_outputs_by_their_values(sent: tuple[float, ..
     [(400, (0.0, 110.0, 999.5, 1999.0, 1.0), (0.0, 0.055, 0.5, 1.0, 0.0005)), (-1, [1499.25], [0.49925])]
     + [(protocol, [1499.25], [0.75]) for protocol in (-5, -2)],
 )
-def test_outputs_are_dshot_once_they_idle_or_a_parameter_says_so(
-    protocol: int, sent: Sequence[float], shares: Sequence[float]
-) -> None:
+def test_dshot_is_known_by_idling_or_a_parameter(protocol: int, sent: Sequence[float], shares: Sequence[float]) -> None:
     vehicle, stream = Vehicle(), VehicleStream(PROFILES["px4"])
     for name, value in (("PWM_AUX_TIM0", protocol), ("PWM_AUX_FUNC3", 101)):
         talk = vehicle.frame(MessageId.PARAM_VALUE, name, *struct.unpack("<f", struct.pack("<i", value)), 6, 2, 0)
@@ -408,9 +406,7 @@ def test_a_clock_that_was_set_is_followed_when_the_old_one_is_silent_for_a_secon
 
 @pytest.mark.parametrize("back_ms", [50, 500, 3000])
 @pytest.mark.parametrize("size", [1, 7, 10_000])
-def test_a_clock_that_is_set_back_begins_another_piece_once_it_is_past_the_highest_stamp(
-    back_ms: int, size: int
-) -> None:
+def test_a_clock_that_is_set_back_begins_another_piece_once_past_the_highest_stamp(back_ms: int, size: int) -> None:
     (raw, host), first = stream(), 500 + back_ms // 10
     raw[500:] -= back_ms
     time, (t_ns,) = taken((MS_32, raw, host), size=size)

@@ -28,7 +28,7 @@ from mavdiag.link.profiles import PROFILES, scale_doubt
 from mavdiag.link.scale import gyro_checks
 from mavdiag.link.sequence import FRAME, HEARD, SENDERS_MAX, Intruder, Senders, Source
 from mavdiag.link.vehicles import Ack, Command, LinkDecoder, command_in
-from mavdiag.logs.tlog import tlog_record, vehicle_stream
+from mavdiag.logs.tlog import read_tlog, tlog_record, vehicle_stream
 from mavdiag.telemetry import FloatArray, Instant, Series, Signal
 from mavdiag.units import DEG, NS_PER_S
 
@@ -177,8 +177,9 @@ def test_the_rates_of_attitude_are_read_only_where_no_imu_message_comes_for_long
 
 
 @pytest.mark.parametrize(("imu", "more"), [(MessageId.SCALED_IMU2, ()), (MessageId.RAW_IMU, (0, 0, 0, 1))])
-def test_another_gyro_is_read_while_the_first_has_stopped(imu: MessageId, more: tuple[int, ...]) -> None:
-    decoder, sender = LinkDecoder(), Sender()
+def test_another_gyro_is_read_while_the_first_stops(imu: MessageId, more: tuple[int, ...], tmp_path: Path) -> None:
+    passed = list[tuple[bytes, int]]()
+    decoder, sender = LinkDecoder(passed=passed), Sender()
     assert run(decoder, sender.chunks(300)) == 300
     run(decoder, sender.chunks(1, imu, *more))
     sender.k += 400  # an outage of the link has stopped none of them
@@ -192,6 +193,8 @@ def test_another_gyro_is_read_while_the_first_has_stopped(imu: MessageId, more: 
     for _ in range(200):  # both come now, in turn
         run(decoder, [*sender.chunks(1), *sender.chunks(1, imu, *more)])
     assert (decoder.vehicles[1].profile.imu, decoder.vehicles[1].sensor) == (MessageId.RAW_IMU, 0)
+    (log := tmp_path / "a.tlog").write_bytes(b"".join(tlog_record(ns // 1000, frame) for frame, ns in passed))
+    assert len(read_tlog(log)[Signal.BODY_RATE]) == pytest.approx(run(LinkDecoder(), passed), abs=25)
 
 
 def told(encoder: Encoder, name: str, number: float, kind: int = REAL32) -> bytes:
