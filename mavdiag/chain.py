@@ -43,7 +43,7 @@ class ChainOutput(NamedTuple):
 
     events: alarms that opened (end_ns None) or closed. changes: of the decision. flight_s, judged_s: that came.
     now_ns: vehicle time of the latest row; None if none came. pieces: the rows with their statistics.
-    likeness: whether it is the baseline's vehicle, once, when 20 s of flight are there; None at other times.
+    likeness: whether it is the baseline's vehicle, when 20 s of flight are there, and link; None at other times.
     """
 
     events: tuple[Event, ...] = ()
@@ -67,7 +67,7 @@ NOTHING = ChainOutput()
 class ChainState:
     """Memory of the front, the kernel and the decision; a step changes it in place.
 
-    beginning: what compares the vehicle, None once it has.
+    beginning: what compares the vehicle; None where nothing does, or it is another one.
     waiting: telemetry that came before the rate was measured. measured: whether it is known to be the baseline's.
     chunks: since the last rows. now_ns: of the latest row.
     refused: why the link or the vehicle is not the baseline's; empty if it is, or is not measured yet.
@@ -253,9 +253,8 @@ class Chain:
         found = None if state.beginning is None else state.beginning.take(rows)
         if found is None or state.beginning is None:
             return None
-        if not state.beginning.whole:
-            state.refused = f"another vehicle: {found.sentence(self.baseline.airframe.name)}"
-        state.beginning = None
+        if found.late or not state.beginning.whole:
+            state.refused, state.beginning = found.sentence(self.baseline.airframe.name), None
         return found
 
     def _append(self, state: ChainState) -> None:

@@ -158,7 +158,7 @@ def judge_in_full(
     run = _Run(log, chain, judged_share, keep, show)
     alike = run.likeness.sentence(baseline.airframe.name)
     if run.likeness.outcome is Outcome.FAR:
-        return refused(f"another vehicle: {alike}", 1 / dt_s)
+        return refused(alike, 1 / dt_s)
     notes = (*((alike,) if alike else ()), *log.notes, *_layout_notes(log, baseline))
     hidden = tuple((round(one.begin_s * NS_PER_S), round(one.end_s * NS_PER_S)) for one in run.hidden)
     unjudged = tuple(sorted((*run.state.memory.unjudged, *hidden)))
@@ -211,7 +211,7 @@ class _Run:
             self._take(chain.judge(self.state, (part,)))
             if self.likeness.outcome is Outcome.FAR:
                 return
-        if self.state.beginning is not None:
+        if self.state.beginning is not None and not self.state.beginning.whole:
             self.likeness = self.state.beginning.likeness()
         self._take(chain.finish(self.state))
         self._settle()
@@ -243,23 +243,10 @@ class _Run:
         if kind is None and verdict is Verdict.FAULT and self.upset is not None:
             kind, since = FaultKind.LOSS_OF_CONTROL, self.upset.begin_s
         rotors = self.changes[-1].rotors if self.changes else ()
-        return LogVerdict(
-            self.log.name,
-            verdict,
-            "; ".join((reason, *notes)),
-            self.judged_s,
-            self.flown_s,
-            self.log.profile,
-            rate_hz,
-            self.monitors,
-            tuple(self.events),
-            tuple(self.changes),
-            notes,
-            kind,
-            since,
-            rotors[-1].rotor if rotors else self._suspected_rotor() if verdict is Verdict.SUSPECTED else None,
-            rotors,
-        )
+        rotor = rotors[-1].rotor if rotors else self._suspected_rotor() if verdict is Verdict.SUSPECTED else None
+        judged = "; ".join((reason, *notes)), self.judged_s, self.flown_s, self.log.profile, rate_hz, self.monitors
+        events, changes = tuple(self.events), tuple(self.changes)
+        return LogVerdict(self.log.name, verdict, *judged, events, changes, notes, kind, since, rotor, rotors)
 
     def _answer(self) -> tuple[Verdict, str]:
         """A fault if one was declared or the flight has an upset, healthy only if enough of it was judged."""

@@ -21,6 +21,7 @@ from mavdiag.airframe.detect import wired, wiring
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.airframe.trim import LEVEL_RATIO, MIN_OUTPUT, rises, shown_trim
 from mavdiag.errors import InputError
+from mavdiag.rows.answer import Answer, delay_of
 from mavdiag.rows.block import OUTPUTS, Block
 from mavdiag.rows.front import Rows
 from mavdiag.rows.windows import means_from, window_all, window_mean, window_rows
@@ -33,6 +34,7 @@ PART_S = 10.0  # of a learnt flight, by which its spread is measured: half of th
 MOST_PARTS = 12  # of a flight: enough to see what it varies by (our choice)
 SIGNIFICANT = 5.0  # spreads (our choice)
 FAR_SPREADS = 8.0  # spreads (our choice)
+LATE_S = 0.03  # by which set-points are late; a circle with a crack was answered 21 ms sooner (our choice)
 FAR_TRIM = 0.04  # of the hover command, roll and pitch counting a third; recorded sessions and weights stay below 0.03
 DAMAGE_RISE = 0.025  # of the hover command: about what the rotor-trim monitor takes for a rise (our choice)
 RAISED = math.log(1.5)  # of a noise: vibration that damage may have made (our choice)
@@ -71,7 +73,7 @@ class Trait:
         return f"{self.name} {seen:+.3f} (learnt {learnt:+.3f} +- {spread:.3f})"
 
 
-WIRED = ("roll outputs", "pitch outputs")
+WIRED, DELAY = ("roll outputs", "pitch outputs"), "set-point delay"
 _1_5, _2, _20 = map(math.log, (1.5, 2, 20))
 
 #: What `traits` gives, in this order; the limits are ours, held against recorded sessions, cuts, tape and weights.
@@ -88,6 +90,8 @@ TRAITS = (
     Trait("motors", 0.1, OTHER_MOTORS, OTHER_MOTORS, far_high=OTHER_MOTORS, log=False),
     # how far roll and pitch move the outputs as the layout says, -1..1, where any order of them fits (`detect.wired`)
     *(Trait(name, 0.05, far_low=0.65, log=False) for name in WIRED),
+    # how soon the rates follow the set-points [s], of the whole flight (`rows.answer`); no damage makes it less
+    Trait(DELAY, 0.003, log=False),
 )
 TRIM, NOISE, LEVELS, MOTORS = slice(0, 3), slice(3, 9), slice(9, 11), slice(11, 14)
 Bends: TypeAlias = tuple[FloatArray, FloatArray]  # of `_bends`
@@ -124,10 +128,11 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Likeness:
-    """How a flight compares with a fingerprint: what follows, and a phrase with figures for each differing trait."""
+    """How a flight compares with a fingerprint: what follows, a phrase for each differing trait. late: set-points."""
 
     outcome: Outcome
     differing: tuple[str, ...] = ()
+    late: bool = False
 
     def sentence(self, whose: str) -> str:
         """Say it for a report; empty if the flight looks like that vehicle. whose: its name."""
@@ -136,7 +141,8 @@ class Likeness:
         figures = ", ".join(self.differing)
         whose = "the baseline's" if whose == UNNAMED else whose
         if self.outcome is Outcome.FAR:
-            return f"does not look like {whose}: {figures}; judge it by a baseline of its own flights"
+            what = "another link" if self.late else f"another vehicle: does not look like {whose}"
+            return f"{what}: {figures}; judge it by a baseline of its own flights"
         return f"may be another vehicle than {whose}, or have new propellers or another load: {figures}"
 
 
@@ -192,20 +198,30 @@ class _Shown(NamedTuple):
     levels: FloatArray  # the motors' mean outputs in them, where no thrust and the layout are known
     outputs: FloatArray  # (outputs, n) that are known
     wires: FloatArray  # as of `wiring`
+    answers: FloatArray  # `Answer.sums`
 
 
 class Beginning:
     """The first `FIRST_S` of judged flight, compared with a fingerprint as they come; the motors after `MOTORS_S`.
 
-    Traits are taken of each part between `BORDERS_S`. whole: all of it has come.
+    Traits are taken of each part between `BORDERS_S`. whole: all of it has come; then only late set-points are told.
     """
 
     def __init__(self, learnt: Fingerprint, layout: RotorLayout | None) -> None:
-        self.whole, self._learnt, self._layout = False, learnt, layout
+        self.whole, self._layout, self._answer = False, layout, Answer()
+        self._learnt = {one.name: (one.mean, one.spread) for one in learnt.figures}
+        self._delay_s, spread_s = self._learnt.get(DELAY, (-math.inf, 0.0))
+        self._least_s = self._delay_s - max(LATE_S, SIGNIFICANT * spread_s)
         self._rows, self._shown, self._valid = list[Rows](), list[_Shown](), 0  # of the latest part, before it, of both
 
     def take(self, rows: Rows) -> Likeness | None:
-        """Take the next rows; the likeness once it is whole, or once the motors are those of another vehicle."""
+        """Take the next rows; the likeness once it is whole, or motors are another vehicle's, or set-points late."""
+        if self._answer.take(rows.block, self._least_s):
+            by_ms = 1e3 * (self._delay_s - self._answer.delay_s)
+            return Likeness(Outcome.FAR, (f"set-points {by_ms:.0f} ms later than learnt",), late=True)
+        if self.whole:
+            self._rows, self._shown = [], []
+            return None
         block, first = rows.block, 0
         at = np.flatnonzero(block.valid)
         if not len(at) and not (self._rows and self._rows[-1].block.valid.any()):
@@ -231,8 +247,7 @@ class Beginning:
 
         motors: only these count: how many there are, and on which outputs.
         """
-        learnt = {one.name: (one.mean, one.spread) for one in self._learnt.figures}
-        return _compared(_figures(self._seen(), self._layout, motors=motors), learnt, self._layout)
+        return _compared(_figures(self._seen(), self._layout, motors=motors), self._learnt, self._layout)
 
     def _seen(self, *latest: Rows) -> list[_Shown]:
         return [*self._shown, *(_shown(block, self._layout) for block in joined([*self._rows, *latest]))]
@@ -241,10 +256,8 @@ class Beginning:
 def compare(learnt: Fingerprint, flight: Sequence[Rows], layout: RotorLayout | None) -> Likeness:
     """Compare the beginning of judged flight with a fingerprint."""
     beginning = Beginning(learnt, layout)
-    for rows in flight:
-        if not beginning.whole:
-            beginning.take(rows)
-    return beginning.likeness()
+    told = [found for rows in flight if (found := beginning.take(rows))]
+    return told[-1] if told else beginning.likeness()
 
 
 def _compared(seen: FloatArray, known: dict[str, tuple[float, float]], layout: RotorLayout | None) -> Likeness:
@@ -342,9 +355,10 @@ def _shown(block: Block, layout: RotorLayout | None) -> _Shown:
         if width and not np.isfinite(block.thrust[calm]).any():
             levels = block.actuator[calm, : layout.rotors].mean(axis=1)
     gyro, felt = (_bends(values.T, block.valid, block.dt_s) for values in (block.rate, block.force))
+    (answer := Answer()).take(block)
     own = slice(None if layout is None else max(layout.rotors, LEAST_OUTPUTS))  # what judging takes (`chain.front_of`)
     outputs = np.compress(block.known(Signal.ACTUATOR, own) & block.valid, block.actuator.T[own], axis=1)
-    return _Shown(trim, gyro, felt, block.thrust[calm], levels, outputs, wires)
+    return _Shown(trim, gyro, felt, block.thrust[calm], levels, outputs, wires, answer.sums)
 
 
 def _figures(shown: Sequence[_Shown], layout: RotorLayout | None, *, motors: bool = False) -> FloatArray:
@@ -358,6 +372,7 @@ def _figures(shown: Sequence[_Shown], layout: RotorLayout | None, *, motors: boo
     figures[TRIM] = np.median(trim, axis=0) if len(trim) else np.nan
     figures[NOISE] = *_noise([one.gyro for one in shown]), *_noise([one.felt for one in shown])
     figures[LEVELS] = _level([one.thrust for one in shown]), _level([one.levels for one in shown])
+    figures[-1] = delay_of(sum((one.answers for one in shown), Answer().sums))
     return figures
 
 

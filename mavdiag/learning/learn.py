@@ -331,7 +331,7 @@ def extend(baseline: Baseline, flights: Iterable[Log], *, new_propellers: bool =
             for one in learnt:
                 likeness = compare(known, one.rows, baseline.airframe.layout)
                 if likeness.outcome is Outcome.FAR:
-                    raise InputError(f"{one.label.name}: another vehicle: {likeness.sentence(baseline.airframe.name)}")
+                    raise InputError(f"{one.label.name}: {likeness.sentence(baseline.airframe.name)}")
         old, rows = baseline.provenance.logs, [flight.rows for flight in learnt]
         propellers = baseline.propellers + new_propellers
         sessions = _sessions(baseline, [flight.label for flight in held])
