@@ -92,3 +92,10 @@ def mutants(session: nox.Session) -> None:
     """A mutation run over monitors and decision, in an environment of its own."""
     session.install("cosmic-ray", "-e", ".[history]", "--group", "test", "-c", "constraints.txt")
     session.run("python", "benchmarks/mutants.py", *session.posargs)
+
+
+@nox.session(venv_backend="uv")
+def rotorpy(session: nox.Session) -> None:
+    """Flights of another simulator, in an environment of its own."""
+    session.install("rotorpy==3.0.0", "-e", ".", "-c", "constraints.txt")
+    session.run("python", "benchmarks/rotorpy_flights.py", *session.posargs)

@@ -43,7 +43,7 @@ SECTIONS: dict[str, tuple[str, ...]] = {
         f"sitl-plant campaign --flights 216 --hours 0 {CAMPAIGN} --conditions cause=fault --conditions wind=0,0.5,1 "
         "--conditions payload=0 --conditions phenomenology=0,0.5,1 --seed 41 --fresh -o TEMPORARY/faults.jsonl",
         "python benchmarks/campaign_grades.py TEMPORARY/faults.jsonl",
-        f"sitl-plant campaign --flights 0 --hours 12 --duration 60 {CAMPAIGN} --conditions wind=0,0.5,1,1.5 "
+        f"sitl-plant campaign --flights 0 --hours 30 --duration 60 {CAMPAIGN} --conditions wind=0,0.5,1,1.5 "
         "--conditions payload=0,50,100 --seed 46 --fresh -o TEMPORARY/healthy.jsonl",
         "sitl-plant campaign --flights 72 --hours 0 --airframes 2 --learn-flights 5 --conditions cause=sensor,loss "
         "--seed 97 --fresh -o TEMPORARY/sensors.jsonl",
@@ -60,6 +60,10 @@ SECTIONS: dict[str, tuple[str, ...]] = {
         "python benchmarks/other_kinds.py --profile px4 --seed 700",
         "python benchmarks/other_kinds.py --seed 2700 --flights 1 --wind 5",
         "python benchmarks/other_kinds.py --profile px4 --seed 2700 --flights 1 --turbulence 10",
+    ),
+    "rotorpy": (
+        "nox -s rotorpy -- --seed 2001 --flights 3",
+        "nox -s rotorpy -- --seed 3001 --flights 3 --vehicle crazyflie",
     ),
     "hostile": (
         "python benchmarks/hostile_values.py --shared FOLDER/.. --seed 1",

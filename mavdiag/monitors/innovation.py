@@ -25,8 +25,8 @@ from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal, Three
 LAG = 4  # rows that A and B look back: METHOD section 5; 2 to 5 change no verdict on the recorded flights
 SETTLED = 3.0  # so many times the memory after a command what it made has passed (our choice)
 WINDOW_S = 1.0  # our choice; 0.7 to 1.3 s change no verdict
-SLOW_S = 0.032  # memory of the mean error: what changes below 5 Hz is no news, for gusts make it (our choice)
-GUST = 2.0  # rms of what gusts add to the rate, of the error's: 1 to 5 make quiet flights robust (our choice)
+SLOW_S = 0.016  # memory of the mean error: what changes below 10 Hz is no news, for gusts make it (our choice)
+GUST_RAD_S, GUST_S = 0.05, 0.2  # rms and memory of the rate that gusts make (our choice, after RotorPy's of 0.3 m/s)
 MIN_ROWS = 500  # 60 a parameter (our choice)
 TRAIN_ROWS = 120_000  # more of it no longer changes the coefficients (our choice)
 SHIFTS = 0.06, 0.12  # of a rotor's frequency: its line moves so far with a load that counts as covered (our choice)
@@ -119,16 +119,16 @@ class Innovation(Monitor[InnovationSpec]):
     """Statistic: rms of the normalised one-step prediction error over 1 s and three axes [times healthy rms].
 
         e(t) = A(z^-1) y(t) - B(z^-1) u(t),    s = sqrt(mean_1s,3 axes z^2)
-        z(t) = (e(t) - EMA_32ms(e)(t - 1)) / sqrt(k0 + k1 EMA_0.35s(u^2)(t))
+        z(t) = (e(t) - EMA_16ms(e)(t - 1)) / sqrt(k0 + k1 EMA_0.35s(u^2)(t))
 
     u: commanded rate, y: raw gyro less its healthy bias, one ARX(4, 4, 1) by least squares for each axis. Of what z^2
     is beyond 36, in n rows of the second, the share 1 - 7/n counts: a glitch of three samples spoils 7 rows, and the
     statistic has no step that few flights could not foretell. Rows that repeat or rest on lost samples are left out.
-    Gusts move e below 5 Hz, and no calm flight tells how far: what the errors before had on the mean is no news.
+    Gusts move e below 10 Hz, and no calm flight tells how far: what the errors before had on the mean is no news.
     Without a filter in the stream A and B are fitted to the gyro as it is, and with what is fast in it shifted by 6 and
     12 % of a rotor's frequency: a folded line moves with a load, so that 15 % of payload at 100 Hz made 1.6 of 1.
-    In calm air u alone says where y is, and A, B that fit it best are wrong in gusts (RotorPy's of 0.3 m/s: 1.4 of
-    the threshold). So rows are added in which y moves and u does not: rms twice the error, memory 32 ms.
+    In calm air u alone says where y is, and A, B that fit it best are wrong in gusts (RotorPy's of 1 m/s: 4 times the
+    threshold). So as many rows are added in which y moves as gusts move it, and u does not.
 
     Warm-up: half an SG window, 4 rows and 1 s; after a gap of less than a second only the first two. Latency: half an
     SG window and up to 1 s. False alarms: aerobatics and storms that the healthy flights lacked. Blind spots: a weak
@@ -178,7 +178,7 @@ class Innovation(Monitor[InnovationSpec]):
             stacked = np.concatenate([_regression(one, axis, float(mean[axis])) for one in pairs], axis=1)
             triangles = [triangle(_regression(one, axis, float(mean[axis])).T) for one in shifted]
             R = triangle(np.concatenate((triangle(stacked.T), *triangles)))
-            R = triangle(np.concatenate((R, GUST * abs(R[-1, -1]) * gust)))
+            R = triangle(np.concatenate((R, math.sqrt((1 + len(triangles)) * stacked.shape[1]) * gust)))
             scale = np.linalg.norm(R[:, :-1], axis=0)
             scale[scale == 0.0] = 1.0  # b of an axis that is never commanded is undetermined, and comes out as zero
             theta = np.linalg.lstsq(R[:, :-1] / scale, R[:, -1], rcond=RANK_TOLERANCE)[0] / scale
@@ -266,12 +266,12 @@ def _regression(pairs: _Pairs, axis: int, mean: float) -> FloatArray:
 
 
 def _gust(dt_s: float) -> FloatArray:
-    """The regression of a rate of rms 1 that no command makes, as rows of the same R: (5, 9).
+    """R of the regression of one row of a rate that gusts make and no command: (5, 9).
 
-    It is white noise behind two poles at SLOW_S, whose correlation after a time t is (1 + t/SLOW_S) e^(-t/SLOW_S).
+    It is white noise behind two poles at GUST_S, whose correlation after a time t is (1 + t/GUST_S) e^(-t/GUST_S).
     """
-    late = np.abs(np.subtract.outer(range(LAG + 1), range(LAG + 1))) * dt_s / SLOW_S
-    y = np.linalg.cholesky((1.0 + late) * np.exp(-late)).T  # of now and of the rows before
+    late = np.abs(np.subtract.outer(range(LAG + 1), range(LAG + 1))) * dt_s / GUST_S
+    y = GUST_RAD_S * np.linalg.cholesky((1.0 + late) * np.exp(-late)).T  # of now and of the rows before
     return np.column_stack((-y[:, 1:], np.zeros((LAG + 1, LAG)), y[:, 0]))
 
 
