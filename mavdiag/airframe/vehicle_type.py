@@ -8,15 +8,8 @@ GENERIC, QUAD = 0, 2
 #: Generic, quad, coaxial, hexa, octo, tri, dodeca, deca, and "multirotor" without a number of rotors.
 MULTIROTORS = frozenset({GENERIC, QUAD, 3, 13, 14, 15, 29, 35, 43})
 
-_NAMES = {
-    1: "a plane",
-    4: "a helicopter",
-    5: "an antenna tracker",
-    10: "a rover",
-    11: "a boat",
-    12: "a submarine",
-    **dict.fromkeys((*range(19, 26), 47), "a VTOL"),
-}
+_NAMES = {1: "a plane", 4: "a helicopter", 5: "an antenna tracker", 10: "a rover", 11: "a boat", 12: "a submarine"}
+_NAMES |= dict.fromkeys((*range(19, 26), 47), "a VTOL")
 
 
 def refusal(mav_type: int | None) -> str:

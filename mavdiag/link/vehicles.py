@@ -35,7 +35,7 @@ from mavdiag.link.samples import SOURCES, SampleDecoder, SampleState, warm
 from mavdiag.link.samples import Source as Measured
 from mavdiag.link.sequence import Intruder, LinkCount, Source
 from mavdiag.link.signing import Signing
-from mavdiag.telemetry import BoolArray, Signal, Telemetry
+from mavdiag.telemetry import BoolArray, IntArray, Signal, Telemetry
 from mavdiag.units import NS_PER_S
 
 WATCH_S = 1.0  # how long a new vehicle's frames are watched for its profile (our choice)
@@ -47,8 +47,7 @@ RECHECK_S = 0.5  # how often a vehicle that waits is looked at again (our choice
 BEATS_S = (0.2, 10.0)  # how far two heartbeats are apart that show a vehicle: it sends one a second (our choice)
 CLEAR_FRAMES = 512  # of a vehicle that are enough to see its profile (our choice)
 LAST_RESORT_S = 30.0  # without any IMU message, before the rates of ATTITUDE are read instead (our choice)
-# Of a log so much is taken at once, as live, where only other IMU messages come for so many times a gyro's usual step.
-LOOK_NS, PAUSE = NS_PER_S // 20, 4.0  # our choices
+LOOK_NS = NS_PER_S // 20  # of a log that is taken at once, as live, where another gyro may be chosen (our choice)
 USEFUL_FRAMES = 20  # of an IMU message, before it is taken at once (our choice)
 CHOICE_S = 1.0  # for which the choice stays open otherwise, from the first IMU message of any kind on (our choice)
 STOPPED_S = 3.0  # for which another IMU message must be the only one that comes, or the better one (our choice)
@@ -73,8 +72,8 @@ _ANSWERS = {MessageId.COMMAND_ACK, MessageId.PARAM_VALUE, MessageId.TIMESYNC, Me
 _TALK = ASKING | STICKS.keys() | _ANSWERS | {MessageId.HEARTBEAT}
 _TALKS = np.isin(MSGIDS, list(_TALK))  # by row of a message
 
-#: The IMU messages that number their sensors.
-_NUMBERED = {one: layout_of(one).record_dtype(("id", 1)) for one in (MessageId.RAW_IMU, MessageId.HIGHRES_IMU)}
+#: The IMU messages that number their sensors, with the byte that does so.
+_NUMBERED = {one: layout_of(one).offset("id")[0] for one in (MessageId.RAW_IMU, MessageId.HIGHRES_IMU)}
 _UID2 = field_index(MessageId.AUTOPILOT_VERSION, "uid2")
 
 
@@ -200,30 +199,37 @@ class VehicleStream:
         others = frames.rows["row"] != ROWS[self.profile.imu]
         read = frames.where(others | self._reads(frames)) if self.sensor else frames
         telemetry = self._decoder.step(self.state, read)
-        own = self.profile.imu == self._own.imu and not self.sensor
-        if own and telemetry.get(Signal.BODY_RATE) is not None:
+        if (self.profile.imu, self.sensor) == (self._own.imu, 0) and telemetry.get(Signal.BODY_RATE) is not None:
             self._worse_ns = 0
         elif self._settled and len(imus := frames.of(*IMU_MESSAGES, compid=AUTOPILOT)):
             self._choose_again(imus)
         return telemetry
 
     def take_log(self, frames: Frames) -> Iterator[Telemetry]:
-        """Take many frames, as of a log: at once, but look by look where another IMU message may have to be chosen."""
-        at_ns, cut = frames.rows["host_ns"], len(frames) // 2
-        if len(frames) and not self._settled:
-            cut = int(np.argmax(np.append(at_ns > at_ns[0] + WATCH_S * NS_PER_S, True)))
-            self._choose_imu(frames.where(slice(cut)))
-        imus = frames.of(*IMU_MESSAGES, compid=AUTOPILOT)
-        imu_ns, read = imus.rows["host_ns"], self._reads(imus)
-        usual_ns = np.median(np.diff(imu_ns[read])) if np.count_nonzero(read) > 1 else 0
-        alone_ns = imu_ns - np.maximum.accumulate(np.where(read, imu_ns, at_ns[:1]))
-        steady = self._settled and alone_ns.max(initial=0) < max(LOOK_NS, PAUSE * usual_ns)
-        steady = steady and with_imu(self._own, frames.counts()).imu == self.profile.imu
-        if steady or cut in (0, len(frames)) or np.ptp(at_ns) < LOOK_NS:
+        """Take many frames, as of a log: at once, but look by look where another gyro may have to be chosen."""
+        at_ns, done = frames.rows["host_ns"], 0
+        if not self._settled:
+            imus = len(frames.of(*IMU_MESSAGES, compid=AUTOPILOT))
+            cuts = np.flatnonzero(np.diff((at_ns - at_ns[:1]) // round(WATCH_S * NS_PER_S))) + 1
+            for cut in (*cuts.tolist(), len(frames)):
+                if not self._settled and (imus or self.profile.imu != LAST_RESORT):
+                    yield self.step(frames.where(slice(done, cut)))
+                    done = cut
+        yield from self._looked(frames.where(slice(done, None)))
+
+    def _looked(self, frames: Frames) -> Iterator[Telemetry]:
+        cut, imus = len(frames) // 2, frames.of(*IMU_MESSAGES, compid=AUTOPILOT)
+        at_ns, imu_ns, read, counts = frames.rows["host_ns"], imus.rows["host_ns"], self._reads(imus), imus.counts()
+        latest = np.maximum.accumulate(np.where(read, np.arange(1, len(imus) + 1), 0))  # that is read, 0 for none
+        alone_ns = imu_ns - np.append(self._worse_ns or at_ns[:1], imu_ns)[latest]
+        best = with_imu(self._own, counts).imu == self.profile.imu and read.sum() == counts[self.profile.imu]
+        best = best or (self.profile.imu, self.sensor) == (self._own.imu, 0)
+        steady = best and alone_ns.max(initial=0) < STOPPED_S * NS_PER_S
+        if not len(imus) or (steady and alone_ns[-1] < LOOK_NS) or cut == 0 or np.ptp(at_ns) < LOOK_NS:
             yield self.step(frames)
         else:
             for part in (slice(cut), slice(cut, None)):
-                yield from self.take_log(frames.where(part))
+                yield from self._looked(frames.where(part))
 
     def _choose_again(self, imus: Frames) -> None:
         """Take another message, or another sensor's rows of the same, once it was the better choice for `STOPPED_S`."""
@@ -235,7 +241,7 @@ class VehicleStream:
         chosen = with_imu(self._own, counts)
         better, sensor, latest = imus.of(chosen.imu), 0, 0
         if chosen.imu in _NUMBERED:
-            latest = int(better.records(_NUMBERED[chosen.imu])["id"].min(initial=255))
+            latest = int(_sensors(better, chosen.imu).min(initial=255))
             self._least = sensor = min(self._least, latest)
         waited_s = (last_ns - self._worse_ns) / NS_PER_S
         if (chosen.imu, sensor) == (self.profile.imu, self.sensor):
@@ -247,8 +253,8 @@ class VehicleStream:
     def _reads(self, frames: Frames) -> BoolArray:
         """Which of them the gyro is read from."""
         own: BoolArray = frames.rows["row"] == ROWS[self.profile.imu]
-        if (numbered := _NUMBERED.get(self.profile.imu)) is not None:
-            own[own] = frames.where(own).records(numbered)["id"] == self.sensor
+        if self.profile.imu in _NUMBERED:
+            own[own] = _sensors(frames.where(own), self.profile.imu) == self.sensor
         return own
 
     def _choose_imu(self, frames: Frames) -> None:
@@ -271,6 +277,14 @@ def _talk(frames: Frames) -> tuple[Frame, ...]:
     """Those that are no measurements."""
     talks = _TALKS[frames.rows["row"]]
     return tuple(frames.where(talks)) if talks.any() else ()
+
+
+def _sensors(frames: Frames, message: MessageId) -> IntArray:
+    """The number that each frame of such a message has; 0 where the zeros at its end were trimmed."""
+    at, found = frames.rows["body"].astype(np.int64) + _NUMBERED[message], np.zeros(len(frames), np.int64)
+    there = at < frames.rows["stop"]
+    found[there] = frames.data[at[there]]
+    return found
 
 
 def _any_sensor(row: Measured) -> Measured:

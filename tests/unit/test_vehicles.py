@@ -161,14 +161,20 @@ def attitudes(sender: Sender, n: int) -> list[tuple[bytes, int]]:
     return found
 
 
-def test_the_rates_of_attitude_are_read_only_where_no_imu_message_comes_for_long_and_only_until_one_comes() -> None:
+def logged(path: Path, passed: list[tuple[bytes, int]]) -> int:
+    """How many gyro samples a log of such frames has."""
+    path.write_bytes(b"".join(tlog_record(ns // 1000, frame) for frame, ns in passed))
+    return len(read_tlog(path)[Signal.BODY_RATE])
+
+
+def test_the_rates_of_attitude_are_read_where_no_imu_message_comes_for_long_until_one_comes(tmp_path: Path) -> None:
+    live = run(LinkDecoder(passed=(passed := list[tuple[bytes, int]]())), attitudes(Sender(), 11_000))
+    assert live == pytest.approx(10_700, abs=12) == logged(tmp_path / "a.tlog", passed)
     decoder, sender = LinkDecoder(), Sender()
     assert (run(decoder, attitudes(sender, 290)), decoder.vehicles[1].profile.imu) == (0, MessageId.RAW_IMU)
-    sender, decoder = Sender(), LinkDecoder()
-    rows = attitudes(sender, 400)
+    rows, decoder = attitudes(sender := Sender(), 400), LinkDecoder()
     assert run(decoder, rows[:-1]) == pytest.approx(100, abs=12)
-    stream = decoder.vehicles[1]
-    assert message_name(stream.profile.imu) == "ATTITUDE"
+    assert message_name((stream := decoder.vehicles[1]).profile.imu) == "ATTITUDE"
     received = decoder.feed(as_columns(rows[-1:]), rows[-1][1])
     assert received[1].telemetry[Signal.BODY_RATE].values.tolist() == [pytest.approx([0.01, 0.02, 0.03])]
     sender.k = 4000
@@ -193,8 +199,7 @@ def test_another_gyro_is_read_while_the_first_stops(imu: MessageId, more: tuple[
     for _ in range(200):  # both come now, in turn
         run(decoder, [*sender.chunks(1), *sender.chunks(1, imu, *more)])
     assert (decoder.vehicles[1].profile.imu, decoder.vehicles[1].sensor) == (MessageId.RAW_IMU, 0)
-    (log := tmp_path / "a.tlog").write_bytes(b"".join(tlog_record(ns // 1000, frame) for frame, ns in passed))
-    assert len(read_tlog(log)[Signal.BODY_RATE]) == pytest.approx(run(LinkDecoder(), passed), abs=25)
+    assert logged(tmp_path / "a.tlog", passed) == pytest.approx(run(LinkDecoder(), passed), abs=25)
 
 
 def told(encoder: Encoder, name: str, number: float, kind: int = REAL32) -> bytes:
@@ -226,12 +231,9 @@ def beat(encoder: Encoder, kind: MavType = MavType.QUADROTOR) -> bytes:
 
 def test_a_second_source_is_not_heard_while_the_first_is_alive() -> None:
     senders = Senders()
-    assert heard(senders, KEY, 0, 0, HERE)
-    assert not heard(senders, KEY, 1, S, THERE)
-    assert heard(senders, KEY, 1, 2 * S, HERE)
-    assert not heard(senders, KEY, 2, 4 * S, THERE)
-    count = senders.count(KEY)
-    assert count is not None
+    for seq, at_s, source in ((0, 0, HERE), (1, 1, THERE), (1, 2, HERE), (2, 4, THERE)):
+        assert heard(senders, KEY, seq, at_s * S, source) is (source == HERE)
+    assert (count := senders.count(KEY)) is not None
     assert (senders.source(KEY), senders.intruder(KEY), count.received) == (HERE, Intruder(THERE, 2), 2)
 
 
@@ -259,10 +261,8 @@ def test_made_up_senders_and_unknown_ids_cost_bounded_memory() -> None:
     link.feed(as_columns([(frame, 0) for frame in frames], [THERE] * len(frames)), S)
     grown, _ = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    assert grown < 3e6
+    assert (grown < 3e6, len(decoder.senders) <= SENDERS_MAX, len(link.vehicles)) == (True, True, 0)
     assert decoder.records == 22_000 + len(frames) + 2000
-    assert len(decoder.senders) <= SENDERS_MAX
-    assert not link.vehicles
 
 
 def test_a_careful_decoder_wants_two_heartbeats_of_one_sender() -> None:
