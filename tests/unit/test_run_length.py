@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from made_rows import example_context, example_rows, read
 from made_telemetry import body_rates
+from scipy.linalg import block_diag, toeplitz
 from scipy.signal import lfilter
 
 from mavdiag.errors import IdentificationError, InputError
@@ -71,8 +72,7 @@ def test_an_axis_that_is_not_commanded_or_turns_against_it_is_refused(times: int
 
 
 def fit(flights: Flights, dt_s: float = DT_S) -> InnovationSpec:
-    (spec,) = Innovation.fit(flights, example_context(dt_s=dt_s))
-    return spec
+    return Innovation.fit(flights, example_context(dt_s=dt_s))[0]
 
 
 def responding(n: int, seed: int, *, noise: float = 0.02, busy: float = 0.2, bias: float | FloatArray = 0) -> Rows:
@@ -92,11 +92,10 @@ def test_the_level_is_that_of_textbook_filters() -> None:
     for k in range(3):
         y, u = rows.block.rate[t, k] - spec.mean[k], rows.rates.u[:, k]
         e, alpha = lfilter([1, *spec.a[k]], [1], y) - lfilter([0, *spec.b[k]], [1], u), 1 - np.exp(-DT_S / 0.35)
-        busy, fast = lfilter([alpha], [1, alpha - 1], u**2), np.exp(-DT_S / 0.032)  # 5 Hz
+        busy, fast = lfilter([alpha], [1, alpha - 1], u**2), np.exp(-DT_S / 0.016)  # 10 Hz
         drift = lfilter([0, 1 - fast], [1, -fast], np.append(np.zeros(4), e[4:]))
         z.append((e - drift) / np.sqrt(spec.k0[k] + spec.k1[k] * busy))
-    square = np.mean(np.square(z), axis=0)
-    expected = [np.sqrt(square[i - 99 : i + 1].mean()) for i in range(103, len(t))]
+    expected = [np.sqrt(np.mean(np.square(z)[:, i - 99 : i + 1])) for i in range(103, len(t))]
     assert np.flatnonzero(found.valid).tolist() == list(range(103, len(t)))
     np.testing.assert_allclose(found.value[found.valid], expected, rtol=1e-9)
 
@@ -108,13 +107,16 @@ def test_the_fit_is_least_squares_with_the_variance_law_of_its_errors() -> None:
         y, u = rows.block.rate[t, k] - spec.mean[k], rows.rates.u[:, k]
         n = len(y)
         phi = np.stack([*(-y[4 - i : n - i] for i in range(1, 5)), *(u[4 - i : n - i] for i in range(1, 5))], axis=1)
-        theta = np.linalg.lstsq(phi, y[4:], rcond=None)[0]
+        plain, late = np.linalg.lstsq(phi, y[4:], rcond=None)[0], DT_S / 0.2 * np.arange(5)
+        gust = len(phi) * 0.05**2 * (1 + late) * np.exp(-late)  # autocorrelation of white noise behind two poles
+        normal = phi.T @ phi + block_diag(toeplitz(gust[:4]), np.zeros((4, 4)))
+        theta = np.linalg.solve(normal, phi.T @ y[4:] - np.append(gust[1:], np.zeros(4)))
         np.testing.assert_allclose([*spec.a[k], *spec.b[k]], theta, rtol=1e-6, atol=1e-9)
-        alpha, fast, e = 1 - np.exp(-DT_S / 0.35), np.exp(-DT_S / 0.032), y[4:] - phi @ theta
-        news = e - lfilter([0, 1 - fast], [1, -fast], e)
-        law = variance_law(news**2, lfilter([alpha], [1, alpha - 1], u**2)[4:])
+        alpha, fast, e = 1 - np.exp(-DT_S / 0.35), np.exp(-DT_S / 0.016), y[4:] - phi @ theta
+        news = np.square(e - lfilter([0, 1 - fast], [1, -fast], e))
+        law = variance_law(news, lfilter([alpha], [1, alpha - 1], u**2)[4:])
         assert (spec.k0[k], spec.k1[k]) == pytest.approx(law, rel=1e-3, abs=1e-9)
-        assert spec.a[k][0] == pytest.approx(-0.7, abs=0.1)
+        assert np.std(e) < 1.06 * np.std(y[4:] - phi @ plain)  # the price in air without gusts
 
 
 def test_a_gyro_bias_like_the_healthy_one_does_not_count() -> None:
@@ -151,8 +153,7 @@ def test_flight_at_one_rate_tells_no_variance_at_rest() -> None:
 
 def test_one_wild_sample_adds_no_more_than_its_bound() -> None:
     spec, rate = fit([[responding(6000, 11)]]), np.random.default_rng(12).normal(0, 0.02, (3000, 3))
-    wild = rate.copy()
-    wild[1000] = 1e300
+    wild = np.where(np.arange(3000)[:, None] == 1000, 1e300, rate)
     calm, shocked = (read(Innovation(spec), example_rows(3000, DT_S, rate=x)) for x in (rate, wild))
     assert np.isfinite(shocked.value).all()
     assert shocked.value[:1200].max() < (calm.value[:1200].max() ** 2 + 5 * 36.0 / 100) ** 0.5 + 0.01  # 5 rows feel it
@@ -177,9 +178,8 @@ def test_one_rough_row_more_makes_no_leap() -> None:
         rough = rate.copy()
         rough[800 : 800 + many] += 0.5 * (-1.0) ** np.arange(many)[:, np.newaxis]  # each row far from the one before
         squares.append(float(read(Innovation(spec), example_rows(1200, DT_S, rate=rough)).value[:850].max()) ** 2)
-    most = squares[-1]
-    assert most > 100
-    assert max(np.diff(squares)) < 0.12 * most  # 24 rows: even steps would be 0.04
+    assert squares[-1] > 100
+    assert max(np.diff(squares)) < 0.12 * squares[-1]  # 24 rows: even steps would be 0.04
     assert squares == sorted(squares)
 
 
