@@ -24,6 +24,7 @@ from mavdiag.link.samples import joined
 from mavdiag.link.samples import warm as warm_samples
 from mavdiag.monitors import MONITORS, monitor_of
 from mavdiag.rows.align import BREAK_S, AlignSpec
+from mavdiag.rows.answer import warm as warm_answer
 from mavdiag.rows.front import Front, FrontState, Rows
 from mavdiag.rows.front import warm as warm_rows
 from mavdiag.rows.gate import Border
@@ -276,6 +277,7 @@ def _gyro_s(pieces: Sequence[Telemetry]) -> float:
 def warm() -> None:
     """Compile what judges (about a minute of processor time), or load it from where it is kept (half a second)."""
     warm_rows()
+    warm_answer()
     warm_samples()
     warm_kernel()
 

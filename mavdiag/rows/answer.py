@@ -8,50 +8,103 @@ vehicle. A weak, rough or slow rotor, wind, load and manoeuvre made it less by 2
 """
 
 import math
+from functools import lru_cache
 
 import numpy as np
 
+from mavdiag.jit import cached, cached_loop
 from mavdiag.rows.block import COMMANDED, Block, U, Y
-from mavdiag.rows.windows import window_rows
 from mavdiag.telemetry import FloatArray
 
-WINDOW_S, HOP_S = 4.0, 1.0  # 3 s do not part 1 Hz from the turns of a circle, which are answered sooner (our choice)
-BINS, DELAYS_S = np.arange(4, 11), np.arange(-0.4, 0.6, 0.001)
+WINDOW_S, HOP_S = 4.0, 2.0  # 3 s do not part 1 Hz from the turns of a circle, which are answered sooner (our choice)
+STEP_S = 0.04  # rows of so long are one mean, which delays u and y alike (our choice)
+BINS, DELAYS_S = np.arange(4, 11), np.arange(-0.2, 0.5, 0.001)
 LEAST_RAD_S, LEAST_R = 0.1, 0.95  # of a window's command, where gusts make 0.08; squares reach 0.97 (our choice)
 FEWEST = 3  # windows that tell (our choice)
-SHIFTS = np.exp(2j * np.pi * np.outer(DELAYS_S, BINS / WINDOW_S))
+TURNS = 2.0 * np.pi * np.outer(DELAYS_S, BINS / WINDOW_S)
+SHIFTS = np.cos(TURNS), np.sin(TURNS)
+ROWS = [U, U + 1, Y, Y + 1, COMMANDED]
 
 
 class Answer:
     """The windows of a flight so far. sums: (5, f) of Re S, Im S, |U|^2, |Y|^2 and 1. delay_s: nan if not told."""
 
     def __init__(self) -> None:
-        self.sums, self.delay_s, self._rest = np.zeros((5, len(BINS))), math.nan, np.empty((5, 0))
+        self.sums, self.delay_s = np.zeros((5, len(BINS))), math.nan
+        self._rows, self._count, self._means = np.empty((5, 0)), 0, np.empty((5, 0))
 
     def take(self, block: Block, least_s: float = -math.inf) -> bool:
         """Take the next rows, up to those with which the delay is less; whether it is."""
-        x = np.concatenate((self._rest, block.x[[U, U + 1, Y, Y + 1, COMMANDED]]), axis=1)
-        n, hop = window_rows(WINDOW_S, block.dt_s), window_rows(HOP_S, block.dt_s)
-        while x.shape[1] >= n and not self.delay_s < least_s:
-            self.sums += _spectra(x[:, :n])
-            self.delay_s, x = delay_of(self.sums), x[:, hop:]
-        self._rest = x
+        stride, done = max(1, round(STEP_S / block.dt_s)), 0
+        hop = stride * max(1, round(HOP_S / (stride * block.dt_s)))
+        if not self._rows.size:
+            self._rows = np.empty((5, hop))
+        while done < len(block) and not self.delay_s < least_s:
+            stop = min(done + hop - self._count, len(block))
+            self._rows[:, self._count : self._count + stop - done] = block.x[ROWS, done:stop]
+            self._count, done = self._count + stop - done, stop
+            if self._count == hop:
+                self._count = 0
+                self._look(self._rows.reshape(5, -1, stride).mean(axis=2), stride * block.dt_s)
         return self.delay_s < least_s
+
+    def _look(self, means: FloatArray, step_s: float) -> None:
+        """Take the means of another hop."""
+        x = np.concatenate((self._means, means), axis=1)[:, -max(1, round(WINDOW_S / step_s)) :]
+        self._means = x
+        if x.shape[1] * step_s > WINDOW_S - HOP_S / 2 and (x[-1] == 1.0).all() and np.isfinite(x).all():
+            _add(x, *_waves(x.shape[1], step_s), self.sums)
+            self.delay_s = delay_of(self.sums)
 
 
 def delay_of(sums: FloatArray) -> float:
     """The delay [s]; nan where too few windows tell, or they tell of none."""
-    real, imaginary, uu, yy, windows = sums
-    r = (SHIFTS @ (real + 1j * imaginary)).real / (math.sqrt(uu.sum() * yy.sum()) or math.inf)
-    return float(DELAYS_S[r.argmax()]) if windows[0] >= FEWEST and r.max() >= LEAST_R else math.nan
+    best, power = _best(sums, *SHIFTS)
+    return float(DELAYS_S[best]) if sums[4, 0] >= FEWEST and power >= LEAST_R else math.nan
 
 
-def _spectra(window: FloatArray) -> FloatArray:
-    """What a window adds to the sums; its |U|^2 add up to the mean square of the command in the band."""
-    known, hann = window[:-1], np.hanning(window.shape[1])
-    if not ((window[-1] > 0.5).all() and np.isfinite(known).all()):
-        return np.zeros(1)
-    spectra = np.fft.rfft((known - known.mean(axis=1, keepdims=True)) * hann, max(len(hann), 2 * BINS[-1]))[:, BINS]
-    u, y = (spectra * math.sqrt(2.0 / len(hann) / (hann @ hann))).reshape(2, 2, -1)
-    s, uu, yy = (u.conj() * y).sum(axis=0), np.square(np.abs(u)).sum(axis=0), np.square(np.abs(y)).sum(axis=0)
-    return np.stack((s.real, s.imag, uu, yy, np.ones_like(uu))) if uu.sum() >= LEAST_RAD_S**2 else np.zeros(1)
+@cached_loop
+def _best(sums: FloatArray, cosine: FloatArray, sine: FloatArray) -> tuple[int, float]:
+    """The place of the delay with the highest r, and r."""
+    best, most, size = 0, -1.0, math.sqrt(sums[2].sum() * sums[3].sum())
+    for place in range(len(cosine)):
+        r = 0.0
+        for f in range(cosine.shape[1]):
+            r += cosine[place, f] * sums[0, f] - sine[place, f] * sums[1, f]
+        if size > 0.0 and r / size > most:
+            best, most = place, r / size
+    return best, most
+
+
+@cached
+def _add(x: FloatArray, cosine: FloatArray, sine: FloatArray, sums: FloatArray) -> None:
+    """Add a window to the sums, if its command moves the vehicle."""
+    found = np.zeros_like(sums)
+    for axis in range(2):
+        u_mean, y_mean = x[axis].mean(), x[2 + axis].mean()
+        for f in range(len(cosine)):
+            u_real = u_imaginary = y_real = y_imaginary = 0.0
+            for k in range(x.shape[1]):
+                u, y = x[axis, k] - u_mean, x[2 + axis, k] - y_mean
+                u_real, u_imaginary = u_real + u * cosine[f, k], u_imaginary - u * sine[f, k]
+                y_real, y_imaginary = y_real + y * cosine[f, k], y_imaginary - y * sine[f, k]
+            found[0, f] += u_real * y_real + u_imaginary * y_imaginary
+            found[1, f] += u_real * y_imaginary - u_imaginary * y_real
+            found[2, f] += u_real * u_real + u_imaginary * u_imaginary
+            found[3, f] += y_real * y_real + y_imaginary * y_imaginary
+            found[4, f] += 0.5  # of each axis
+    if found[2].sum() >= LEAST_RAD_S**2:
+        sums += found
+
+
+@lru_cache(maxsize=8)
+def _waves(n: int, step_s: float) -> tuple[FloatArray, FloatArray]:
+    """What n means are multiplied by for the real and the imaginary part of each f, (f, n); |U|^2 are mean squares."""
+    hann, turns = np.hanning(n), 2.0 * np.pi * np.outer(BINS / WINDOW_S, np.arange(n) * step_s)
+    hann *= math.sqrt(2.0 / n / (hann @ hann))
+    return hann * np.cos(turns), hann * np.sin(turns)
+
+
+def warm() -> None:
+    """Compile the sums, or load them from where they are kept."""
+    Answer()._look(np.ones((5, round(WINDOW_S / STEP_S))), STEP_S)  # noqa: SLF001
