@@ -43,7 +43,7 @@ SECTIONS: dict[str, tuple[str, ...]] = {
         f"sitl-plant campaign --flights 216 --hours 0 {CAMPAIGN} --conditions cause=fault --conditions wind=0,0.5,1 "
         "--conditions payload=0 --conditions phenomenology=0,0.5,1 --seed 41 --fresh -o TEMPORARY/faults.jsonl",
         "python benchmarks/campaign_grades.py TEMPORARY/faults.jsonl",
-        f"sitl-plant campaign --flights 0 --hours 30 --duration 60 {CAMPAIGN} --conditions wind=0,0.5,1,1.5 "
+        f"sitl-plant campaign --flights 0 --hours 12 --duration 60 {CAMPAIGN} --conditions wind=0,0.5,1,1.5 "
         "--conditions payload=0,50,100 --seed 46 --fresh -o TEMPORARY/healthy.jsonl",
         "sitl-plant campaign --flights 72 --hours 0 --airframes 2 --learn-flights 5 --conditions cause=sensor,loss "
         "--seed 97 --fresh -o TEMPORARY/sensors.jsonl",
