@@ -117,7 +117,9 @@ def taught() -> Baseline:
     """The baseline of five healthy flights."""
     shapes = ((2.0, 0.8), (1.5, 0.6), (1.0, 0.5), (2.0, 1.0), (1.5, 0.8))
     flights = [fly(Course(side_m=side, speed_m_s=speed, loops=2), seed) for seed, (side, speed) in enumerate(shapes)]
-    return learn([one.log for one in flights], LearnOptions(airframe=airframe_of(qdrone2(), "qdrone2")), created="")
+    return learn(
+        [one.log for one in flights], LearnOptions(airframe=airframe_of(qdrone2(), "qdrone2")), created="1970-01-01"
+    )
 
 
 def first_fault(changes: tuple[Change, ...]) -> Change | None:
