@@ -167,11 +167,16 @@ class SourceLog(Part):
     trim: tuple[()] | Three = ()  # of the whole flight, by roll, pitch and yaw [fraction of hover]
 
 
+def _dated(text: str) -> str:
+    unix_ns(text)  # which refuses what is no time
+    return text
+
+
 class Provenance(Part):
     """Where the baseline came from."""
 
     logs: Annotated[tuple[SourceLog, ...], Field(min_length=1)]
-    created: Annotated[str, AfterValidator(lambda text: (unix_ns(text), text)[1])]  # ISO 8601, UTC
+    created: Annotated[str, AfterValidator(_dated)]  # ISO 8601, UTC
     tool: str
     vehicle: Annotated[int, Field(ge=0, le=255)] = 0  # system id, where it was learnt live
     left_out: tuple[str, ...] = ()  # parts and logs that were given but not learnt, and why

@@ -243,10 +243,23 @@ class _Run:
         if kind is None and verdict is Verdict.FAULT and self.upset is not None:
             kind, since = FaultKind.LOSS_OF_CONTROL, self.upset.begin_s
         rotors = self.changes[-1].rotors if self.changes else ()
-        rotor = rotors[-1].rotor if rotors else self._suspected_rotor() if verdict is Verdict.SUSPECTED else None
-        judged = "; ".join((reason, *notes)), self.judged_s, self.flown_s, self.log.profile, rate_hz, self.monitors
-        events, changes = tuple(self.events), tuple(self.changes)
-        return LogVerdict(self.log.name, verdict, *judged, events, changes, notes, kind, since, rotor, rotors)
+        return LogVerdict(
+            self.log.name,
+            verdict,
+            "; ".join((reason, *notes)),
+            self.judged_s,
+            self.flown_s,
+            self.log.profile,
+            rate_hz,
+            self.monitors,
+            tuple(self.events),
+            tuple(self.changes),
+            notes,
+            kind,
+            since,
+            rotors[-1].rotor if rotors else self._suspected_rotor() if verdict is Verdict.SUSPECTED else None,
+            rotors,
+        )
 
     def _answer(self) -> tuple[Verdict, str]:
         """A fault if one was declared or the flight has an upset, healthy only if enough of it was judged."""

@@ -47,7 +47,9 @@ SERVICE = {
     "version": __version__,
     "webpage": "",
     "api": "",
-    **dict.fromkeys(("new_page", "avoid_iframes", "works_in_relative_paths"), True),
+    "new_page": True,
+    "avoid_iframes": True,
+    "works_in_relative_paths": True,
 }
 REFUSALS = {
     Answer.NO_TOKEN: "a token is needed: open /?token=TOKEN, the line in the detector's token file",

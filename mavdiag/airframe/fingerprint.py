@@ -216,7 +216,7 @@ class Beginning:
 
     def take(self, rows: Rows) -> Likeness | None:
         """Take the next rows; the likeness once it is whole, or motors are another vehicle's, or set-points late."""
-        if self._answer.take(rows.block, self._least_s):
+        if self._delay_s > -math.inf and self._answer.take(rows.block, self._least_s):
             by_ms = 1e3 * (self._delay_s - self._answer.delay_s)
             return Likeness(Outcome.FAR, (f"set-points {by_ms:.0f} ms later than learnt",), late=True)
         if self.whole:

@@ -95,11 +95,21 @@ def record_of(log: Log, judged: JudgedFlight, baseline: Baseline) -> FlightRecor
     trims = (trace.found for trace in traces if isinstance(trace.slot.monitor, RotorTrim))
     trim = next((found for found in trims if found.rotors.shape[1] and found.valid.any()), None)
     monitor = next((trace.slot.monitor for trace in traces if isinstance(trace.slot.monitor, RotorTrim)), None)
-    told = judged.verdict.verdict, judged.verdict.reason, judged.verdict.judged_s
-    rises = () if trim is None else tuple(np.median(trim.rotors[trim.valid], axis=0).tolist())
-    mean = () if monitor is None else monitor.whole([piece.rows for piece in judged.pieces if len(piece.rows.block)])
-    figures, whose = tuple(map(_slot_figures, traces)), ("", printable(log.name), content, log.started_ns, 0)
-    return FlightRecord(*whose, baseline.digest, *told, figures, rises, mean)
+    verdict = judged.verdict
+    return FlightRecord(
+        "",
+        printable(log.name),
+        content,
+        log.started_ns,
+        0,
+        baseline.digest,
+        verdict.verdict,
+        verdict.reason,
+        verdict.judged_s,
+        tuple(_slot_figures(trace) for trace in traces),
+        () if trim is None else tuple(np.median(trim.rotors[trim.valid], axis=0).tolist()),
+        () if monitor is None else monitor.whole([piece.rows for piece in judged.pieces if len(piece.rows.block)]),
+    )
 
 
 def _slot_figures(trace: SlotTrace) -> SlotFigures:

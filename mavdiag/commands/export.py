@@ -17,6 +17,8 @@ from mavdiag.storage import replacing, write_atomically
 from mavdiag.telemetry import frame_of
 from mavdiag.units import NS_PER_S
 
+TABLE_KEY = 151  # of the applet's parameters unless told otherwise (our choice)
+
 
 def export(
     log: Annotated[Path | None, Argument(metavar="LOG", help="Flight log.")] = None,
@@ -29,7 +31,9 @@ def export(
     output: Annotated[Path | None, Option("-o", "--output", help="File to write.  [default: LOG.suffix]")] = None,
     vehicle: Vehicle = None,
     columns: Columns = None,
-    table_key: Annotated[int | None, Option(min=1, max=200, help="Of the applet's parameters.  [default: 151]")] = None,
+    table_key: Annotated[
+        int | None, Option(min=1, max=200, help=f"Of the applet's parameters.  [default: {TABLE_KEY}]")
+    ] = None,
 ) -> None:
     """Write a flight's signals for other tools; with a baseline also residuals, statistics and the decision.
 
@@ -43,7 +47,7 @@ def export(
 
         loaded = Baseline.load(lua)
         check_output(output, lua)
-        write_atomically(output, applet(loaded, 151 if table_key is None else table_key))
+        write_atomically(output, applet(loaded, TABLE_KEY if table_key is None else table_key))
         for one in left_out(loaded):
             say(f"left out   {one}")
         return say(f"written to {output}; copy it to APM/scripts of the memory card and set SCR_ENABLE to 1")

@@ -43,7 +43,8 @@ def inspect(
         list[str], typer.Argument(metavar="LOG|DIR|ENDPOINT", help="Logs, folders, patterns; or one link.")
     ],
     duration: Annotated[
-        float | None, Option(min=0.1, max=3600.0, metavar="S", help="Listen so long to a link.  [default: 5]")
+        float | None,
+        Option(min=0.1, max=3600.0, metavar="S", help=f"Listen so long to a link.  [default: {LISTENED_S:g}]"),
     ] = None,
     ask: Annotated[bool, Option("--ask", help="Ask the vehicle for missing streams, and for its rotors.")] = False,
     baseline: Annotated[Path | None, Option(metavar="FILE", help="Show the monitors of this baseline.")] = None,

@@ -521,7 +521,14 @@ def _tables() -> NDArray[np.uint16]:
 
 @cached_loop
 def _find(
-    data: Bytes, words: IntArray, chunks: IntArray, whole: bool, gap: int, known: Record, tables: Record, found: Record
+    data: Bytes,
+    words: IntArray,
+    chunks: IntArray,
+    whole: bool,
+    gap: int,
+    known: NDArray[np.int16],
+    tables: NDArray[np.uint16],
+    found: NDArray[Any],
 ) -> tuple[int, int, int]:
     """Write down the frames; returns how many, how many bytes are done with, and how many of them the frames are.
 
@@ -554,7 +561,15 @@ def _find(
 
 @inline
 def _take(
-    data: Bytes, words: IntArray, begin: int, end: int, whole: bool, gap: int, known: Record, tables: Record, frame: Any
+    data: Bytes,
+    words: IntArray,
+    begin: int,
+    end: int,
+    whole: bool,
+    gap: int,
+    known: NDArray[np.int16],
+    tables: NDArray[np.uint16],
+    frame: Any,
 ) -> int:
     """Write down the frame that begins at a marker; returns the place behind it, `begin` for none, or `_NOT_YET`."""
     zero = np.int64(0)  # `zero +` makes a byte a signed number for numba
@@ -591,7 +606,7 @@ def _take(
 
 
 @inline
-def _checksum(data: Bytes, words: IntArray, first: int, stop: int, seed: int, tables: Record) -> int:
+def _checksum(data: Bytes, words: IntArray, first: int, stop: int, seed: int, tables: NDArray[np.uint16]) -> int:
     crc, k = np.int64(0xFFFF), first
     while k + 8 <= stop:
         word, later = words[k], np.int64(0)

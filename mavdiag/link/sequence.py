@@ -20,7 +20,6 @@ from mavdiag.jit import cached_loop, jit
 from mavdiag.telemetry import IntArray
 from mavdiag.units import NS_PER_S
 
-Rows: TypeAlias = NDArray[Any]
 Source: TypeAlias = Hashable | None  # where bytes came from: an address, or None on a link that has one end only
 
 WINDOW = 64  # frames: how late one may come and still be known as late (a choice: 25 ms of 2,500 messages a second)
@@ -257,7 +256,14 @@ def _admit(sender: Fields, frame: Fields) -> bool:
 
 @cached_loop
 def _hear(
-    data: Rows, rows: Rows, first: int, senders: Rows, seen: IntArray, places: Rows, flags: Rows, used: int
+    data: NDArray[np.uint8],
+    rows: NDArray[Any],
+    first: int,
+    senders: NDArray[Any],
+    seen: IntArray,
+    places: NDArray[np.uint16],
+    flags: NDArray[np.uint8],
+    used: int,
 ) -> tuple[int, int, bool]:
     """How many frames are done before there is no room for one more sender; how many senders; if any used our name."""
     odd = False

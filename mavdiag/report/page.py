@@ -89,12 +89,20 @@ def flight_report(log: Log, baseline: Baseline, columns: int = COLUMNS, *, figur
     of_propeller = verdict.since_s is not None and verdict.kind in (None, FaultKind.PROPELLER)
     since_s = verdict.since_s - sketch.begin_ns / NS_PER_S if of_propeller and verdict.since_s is not None else None
     shown, method = _pictures(log, baseline, judged, sketch, since_s) if figures else ((), ())
-    drawing = "" if layout is None else pictures.airframe_drawing(layout, sketch, words.rotors_of(verdict))
-    places = () if layout is None else tuple(map(where, rotor_places(layout)))
-    begin = log.started_ns and log.epoch_ns + sketch.begin_ns, sketch.begin_ns / NS_PER_S
-    series, rises = summaries(log.telemetry), pictures.told_rises(sketch) is not None
-    gaps = tuple(pictures.unjudged(judged, sketch))
-    return FlightReport(verdict, log.sha256, log.profile, *begin, series, drawing, rises, places, gaps, shown, method)
+    return FlightReport(
+        verdict,
+        log.sha256,
+        log.profile,
+        log.started_ns and log.epoch_ns + sketch.begin_ns,
+        sketch.begin_ns / NS_PER_S,
+        summaries(log.telemetry),
+        "" if layout is None else pictures.airframe_drawing(layout, sketch, words.rotors_of(verdict)),
+        pictures.told_rises(sketch) is not None,
+        () if layout is None else tuple(where(place) for place in rotor_places(layout)),
+        tuple(pictures.unjudged(judged, sketch)),
+        shown,
+        method,
+    )
 
 
 def _pictures(

@@ -279,10 +279,21 @@ PX4 = Dialect(
 )
 # Whoever does not know an autopilot guesses: mavsdk takes its custom_mode for PX4's, pymavlink for ArduPilot's. The
 # numbers do not meet, so both are understood. mavsdk sends it altitudes above home. All its parameters are floats.
-_OWN = replace(PX4, profile=_QDRONE2, custom_mode=0, others=_messages(_QDRONE2, MessageId.HIGHRES_IMU), amsl=False)
-_ASKED = replace(_OWN, refused=MavResult.DENIED, parameters=_PX4_PARAMETERS, encoding=Encoding.FLOAT, streams=_STREAMS)
-_MODES = (*_PX4_MODES, *_COPTER_MODES)
-GENERIC = replace(_ASKED, modes=_MODES, ceiling_hz=1000.0, unasked={}, attained_hz=None)
+GENERIC = replace(
+    PX4,
+    profile=_QDRONE2,
+    custom_mode=0,
+    others=_messages(_QDRONE2, MessageId.HIGHRES_IMU),
+    ceiling_hz=1000.0,
+    modes=(*_PX4_MODES, *_COPTER_MODES),
+    encoding=Encoding.FLOAT,
+    amsl=False,
+    refused=MavResult.DENIED,
+    parameters=_PX4_PARAMETERS,
+    streams=_STREAMS,
+    unasked={},
+    attained_hz=None,
+)
 _COUNTS = replace(GENERIC, profile=_SPEC, others=_messages(_SPEC, MessageId.HIGHRES_IMU))
 
 DIALECTS: Mapping[str, Dialect] = {row.profile.name: row for row in (GENERIC, _COUNTS, COPTER, PX4)}

@@ -13,7 +13,7 @@ Flights of one airframe share its baseline, so they are not independent; the int
     monitors       one monitor: its own false alarms in healthy flight, and T's faults that it found
     answers        how one cause was answered: counts by kind of answer; early: with an alarm before the onset; right:
                    by the kind that is right for the group, of those judged; named: flights that name a rotor
-    conditions     one condition: its healthy flights and hours, the decisions for a fault, the monitors, and T's faults
+    conditions     one condition: its healthy flights, their hours, verdicts and declared faults, the monitors, and T's faults
                    at each scale of the fitted terms with an alarm or (declared) the decision "fault"; every: all
 """
 
@@ -225,6 +225,7 @@ def _condition(name: str, flights: Flights) -> Row:
         "alarms": poisson(sum(flight.episodes for flight in healthy), judged_h),
         "faults": poisson(sum(flight.faults for flight in healthy), judged_h),
         "flagged": _share(healthy, lambda flight: flight.verdict == "fault"),
+        "verdicts": _counts(flight.verdict for flight in healthy),
         "monitors": [
             {"name": monitor, "judged_share": hours / flown_h, "rate": poisson(before, hours)}
             for monitor, before, hours in _by_monitor(healthy)
@@ -297,6 +298,8 @@ def print_summary(summary: Row) -> None:
         f"seed {summary['seed']}, {summary['airframes']} airframes, {summary['flights']} flights, "
         f"{summary['healthy_hours']:.2f} hours of healthy flight judged"
     )
+    if verdicts := summary["every"]["verdicts"]:
+        console.print(f"healthy flights: {_text(verdicts)}; faults declared: {summary['every']['faults']}")
     for reason, count in summary["unjudged"]:
         console.print(f"not judged: {count} flights, {reason}")
 
