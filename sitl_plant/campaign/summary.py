@@ -13,8 +13,8 @@ Flights of one airframe share its baseline, so they are not independent; the int
     monitors       one monitor: its own false alarms in healthy flight, and T's faults that it found
     answers        how one cause was answered: counts by kind of answer; early: with an alarm before the onset; right:
                    by the kind that is right for the group, of those judged; named: flights that name a rotor
-    conditions     one condition: its healthy flights, their hours, verdicts and declared faults, the monitors, and T's faults
-                   at each scale of the fitted terms with an alarm or (declared) the decision "fault"; every: all
+    conditions     one condition: its healthy flights, their hours, verdicts and declared faults, the monitors, and T's
+                   faults at each scale of the fitted terms with an alarm or (declared) the decision "fault"; every: all
 """
 
 import math
