@@ -16,6 +16,7 @@ import argparse
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from importlib.util import find_spec
 
 import numpy as np
 from peers.campaign import DEFAULT, QUICK, Catch, Tally, run
@@ -119,6 +120,11 @@ def main() -> None:
     contenders = [one for one in CONTENDERS if any(part.lower() in one.name.lower() for part in wanted)]
     if not contenders:
         parser.error(f"no contender is called that; there are: {', '.join(one.name for one in CONTENDERS)}")
+    needed = {neural_network: "sklearn", wavelet: "pywt"}
+    if any(one.study in needed and find_spec(needed[one.study]) is None for one in contenders):
+        parser.error(
+            "a network and wavelets need the group `bench`: pip install --group bench, or name others by --only"
+        )
     console = Console(width=130)
     with console.status("flying") as status:
         tallies = run(contenders, size, arguments.seed, status.update)

@@ -72,7 +72,7 @@ def flight_plan(
     """Check the options and put them together. Raises UsageError for what cannot be flown."""
     dialect = replace(dialect_named(profile), sysid=system_id)
     rates = dialect.rates_hz(rate)
-    check_times(fault, onset, duration, rotor)
+    check_times(fault, onset, duration, rotor, phenomenology)
     commanded, kind = trajectory is Shape.COMMANDED, vehicle_from(vehicle)
     config = PlantConfig(
         vehicle=kind,
@@ -94,14 +94,16 @@ def flight_plan(
     return FlightPlan(config, dialect, rates[dialect.profile.imu], duration)
 
 
-def check_times(fault: str | None, onset_s: float, duration_s: float | None, rotor: int = 1) -> None:
-    """Raise UsageError for an onset or rotor without a fault, an onset after the end, or a time that cannot be."""
+def check_times(
+    fault: str | None, onset_s: float, duration_s: float | None, rotor: int = 1, phenomenology: float = 1.0
+) -> None:
+    """Raise UsageError for a fault's option without one, an onset after the end, or a time that cannot be."""
     if duration_s is not None and not 0.0 < duration_s <= LONGEST_S:
         raise UsageError(f"duration must be positive and at most {LONGEST_S:g} s, not {duration_s:g}")
     if not (math.isfinite(onset_s) and onset_s >= 0.0):
         raise UsageError(f"--onset must be zero or more, not {onset_s:g}")
-    if fault is None and (onset_s > 0.0 or rotor != 1):
-        raise UsageError("--onset and --rotor are of a fault: add --fault F2/SV2")
+    if fault is None and (onset_s > 0.0 or rotor != 1 or phenomenology != 1.0):
+        raise UsageError("--onset, --rotor and --phenomenology are of a fault: add --fault F2/SV2")
     if fault is not None and duration_s is not None and onset_s >= duration_s:
         raise UsageError(f"--onset {onset_s:g} is after the end of the flight: write less than {duration_s:g}")
 

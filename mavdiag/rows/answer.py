@@ -23,7 +23,7 @@ LEAST_RAD_S, LEAST_R = 0.1, 0.95  # of a window's command, where gusts make 0.08
 FEWEST = 3  # windows that tell (our choice)
 TURNS = 2.0 * np.pi * np.outer(DELAYS_S, BINS / WINDOW_S)
 SHIFTS = np.cos(TURNS), np.sin(TURNS)
-ROWS = [U, U + 1, Y, Y + 1, COMMANDED]
+ROWS, COMMAND = [U, U + 1, Y, Y + 1, COMMANDED], 4
 
 
 class Answer:
@@ -36,25 +36,19 @@ class Answer:
     def take(self, block: Block, least_s: float = -math.inf) -> bool:
         """Take the next rows, up to those with which the delay is less; whether it is."""
         stride, done = max(1, round(STEP_S / block.dt_s)), 0
-        hop = stride * max(1, round(HOP_S / (stride * block.dt_s)))
+        step_s = stride * block.dt_s
+        hop = stride * max(1, round(HOP_S / step_s))
         if not self._rows.size:
-            self._rows = np.empty((5, hop))
+            self._rows, self._means = np.empty((5, hop)), np.full((5, max(1, round(WINDOW_S / step_s))), math.nan)
         while done < len(block) and not self.delay_s < least_s:
             stop = min(done + hop - self._count, len(block))
             self._rows[:, self._count : self._count + stop - done] = block.x[ROWS, done:stop]
             self._count, done = self._count + stop - done, stop
             if self._count == hop:
                 self._count = 0
-                self._look(self._rows.reshape(5, -1, stride).mean(axis=2), stride * block.dt_s)
+                _look(self._rows, stride, self._means, *_waves(self._means.shape[1], step_s), self.sums)
+                self.delay_s = delay_of(self.sums)
         return self.delay_s < least_s
-
-    def _look(self, means: FloatArray, step_s: float) -> None:
-        """Take the means of another hop."""
-        x = np.concatenate((self._means, means), axis=1)[:, -max(1, round(WINDOW_S / step_s)) :]
-        self._means = x
-        if x.shape[1] * step_s > WINDOW_S - HOP_S / 2 and (x[-1] == 1.0).all() and np.isfinite(x).all():
-            _add(x, *_waves(x.shape[1], step_s), self.sums)
-            self.delay_s = delay_of(self.sums)
 
 
 def delay_of(sums: FloatArray) -> float:
@@ -77,14 +71,22 @@ def _best(sums: FloatArray, cosine: FloatArray, sine: FloatArray) -> tuple[int, 
 
 
 @cached
-def _add(x: FloatArray, cosine: FloatArray, sine: FloatArray, sums: FloatArray) -> None:
-    """Add a window to the sums, if its command moves the vehicle."""
+def _look(rows: FloatArray, stride: int, x: FloatArray, cosine: FloatArray, sine: FloatArray, sums: FloatArray) -> None:
+    """Take another hop into the window of means, and the window into the sums, if its command moves the vehicle."""
+    hop, n = rows.shape[1] // stride, x.shape[1]
+    for row in range(len(x)):
+        for k in range(n - hop):
+            x[row, k] = x[row, k + hop]
+        for k in range(hop):
+            x[row, n - hop + k] = rows[row, k * stride : (k + 1) * stride].mean()
+    if not (np.isfinite(x).all() and (x[COMMAND] == 1.0).all()):
+        return
     found = np.zeros_like(sums)
     for axis in range(2):
         u_mean, y_mean = x[axis].mean(), x[2 + axis].mean()
         for f in range(len(cosine)):
             u_real = u_imaginary = y_real = y_imaginary = 0.0
-            for k in range(x.shape[1]):
+            for k in range(n):
                 u, y = x[axis, k] - u_mean, x[2 + axis, k] - y_mean
                 u_real, u_imaginary = u_real + u * cosine[f, k], u_imaginary - u * sine[f, k]
                 y_real, y_imaginary = y_real + y * cosine[f, k], y_imaginary - y * sine[f, k]
@@ -108,5 +110,5 @@ def _waves(n: int, step_s: float) -> tuple[FloatArray, FloatArray]:
 def warm() -> None:
     """Compile the sums, or load them from where they are kept."""
     sums = Answer().sums
-    _add(np.zeros((len(ROWS), 100)), *_waves(100, STEP_S), sums)
+    _look(np.zeros((len(ROWS), 50)), 1, np.zeros((len(ROWS), 100)), *_waves(100, STEP_S), sums)
     delay_of(sums)

@@ -88,7 +88,7 @@ def hil_options(
     print_parameters: Annotated[AutopilotName | None, Option(help=_PRINTED)] = None,
 ) -> HilOptions:
     """Check the options and put them together. Raises UsageError for what cannot be flown."""
-    options.check_times(fault, onset, duration, rotor)
+    options.check_times(fault, onset, duration, rotor, phenomenology)
     kind = vehicle_from(vehicle)
     if not 1 <= rotor <= len(kind.rotors):
         raise UsageError(f"rotor must be 1 to {len(kind.rotors)}, not {rotor}")

@@ -26,7 +26,7 @@ REFUSED = [
     ("sitl-plant run --fault F9/SV1", "no fault 'F9/SV1': give F1, F2 or F3"),
     *((f"sitl-plant run --{wrong}", "Invalid value for '--") for wrong in ("phenomenology 7", "wind nan", "wind -1")),
     ("sitl-plant run --propellers nan", "propellers must spread by 0 to 20%, not nan%"),
-    *((f"sitl-plant run --{it} 3", "--onset and --rotor are of a fault") for it in ("onset", "rotor")),
+    *((f"sitl-plant run --{it}", "are of a fault: add") for it in ("onset 3", "rotor 3", "phenomenology 0")),
     ("sitl-plant record -o t.tlog --fault F2/SV2 --onset 60", "--onset 60 is after the end of the flight"),
     ("sitl-plant run --rate 5000", "rate must be 1 to 1000 Hz"),
     ("sitl-plant run --profile betaflight", "no link profile betaflight"),
