@@ -22,7 +22,7 @@ import mavdiag.rows.block as col
 from mavdiag.jit import cached, inline, jit
 from mavdiag.monitors import MONITORS
 from mavdiag.monitors.base import FaultKind, Monitor, RotorEvidence
-from mavdiag.monitors.conditions import COUNT, conditions_memory, most_bins, take_rows
+from mavdiag.monitors.conditions import COMMANDS, COUNT, MOST, conditions_memory, most_bins, take_rows
 from mavdiag.rows.conditions import BIN_S, TRIM_CONDITIONS, TRIM_MEMORY_S, Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.quality import DOUBTS
@@ -126,9 +126,12 @@ loop = joined_loops([monitor.run for monitor in MONITORS])
 @jit
 def _take_bins(x: Any, times: Any, bins: Any, limits: FloatArray, mem: FloatArray, numbers: IntArray) -> int:
     """Measure the conditions, and flag what trims were learnt in; return the bits of those beyond what was learnt."""
-    t_ns, (ends_ns, values), known, first = times[0], bins, numbers[BINS], numbers[BEFORE]
+    t_ns, (ends_ns, values, commands), known, first = times[0], bins, numbers[BINS], numbers[BEFORE]
     anywhere, begin, stop, covered = 0, -1, -1, True
-    numbers[BINS] = take_rows(mem, x, first, first + numbers[LAG], times, ends_ns, values, known)
+    numbers[BINS] = take_rows(mem, x, first, first + numbers[LAG], times, (ends_ns, values), commands, known)
+    for condition in range(COMMANDS.start, COMMANDS.stop):
+        if excess_of(mem[MOST + condition - COMMANDS.start], limits, condition) > 0.0:
+            anywhere |= 1 << condition
     for number in range(numbers[BINS]):
         for condition in range(COUNT):
             if number >= known:
@@ -212,31 +215,44 @@ def _alarm(
 
 @jit
 def _let_count(
-    plan: Any, slot: int, stamps: IntArray, bins: Any, anywhere: int, limits: Any, out: Any, outside: Any, n: Any
+    plan: Any,
+    slot: int,
+    stamps: IntArray,
+    at: Any,
+    bins: Any,
+    anywhere: int,
+    limits: Any,
+    out: Any,
+    outside: Any,
+    n: Any,
 ) -> None:
     """Let a slot's values count as the envelope has it: less where a condition is near its limits, not beyond them."""
-    (ends_ns, conditions), depends, known = bins, plan[slot, DEPENDS] & anywhere, n[BINS]
-    late_ns = 0 if plan[slot, BY_RATES] else n[BINS_NS]  # a bin ends with a rate
-    first, stop, far, room, worst = -1, -1, 0.0, 1.0, (-1, 0)
+    (ends_ns, conditions, commands), depends, known = bins, plan[slot, DEPENDS] & anywhere, n[BINS]
+    late_ns = 0 if plan[slot, BY_RATES] else n[BINS_NS]  # a bin ends with a rate, and what is commanded is told sooner
+    told = COMMANDS.stop if plan[slot, BY_RATES] else COMMANDS.start
+    first, stop, worst, excess, measured = -1, -1, (-1, 0), 0.0, 0.0
     for number in range(len(stamps) if depends else 0):
         left = seen_from(ends_ns, max(first, 0), known, stamps[number], plan[slot, MEMORY_NS])
         right = seen_from(ends_ns, max(stop, 0), known, stamps[number], late_ns)
         if left != first or right != stop:
             begin = left if first < 0 or 0 <= worst[0] < left else max(stop, left)  # the worst so far left, or it stays
             newer = farthest(conditions, begin, right, depends)
-            if begin == left or worst[0] < 0 or (newer[0] >= 0 and conditions[newer[0], COUNT + newer[1]] > far):
+            if begin == left or worst[0] < 0 or (newer[0] >= 0 and conditions[newer[0], COUNT + newer[1]] > excess):
                 worst = newer
-            first, stop, far, room = left, right, 0.0, 1.0
+            first, stop, excess, measured = left, right, 0.0, 0.0
             if worst[0] >= 0:
-                far = conditions[worst[0], COUNT + worst[1]]
-                room = 1.0 + limits[worst[1], 3] * min(far, 1.0) if plan[slot, GROWS] else 1.0
-        out[col.VALUE, number] /= room
+                measured, excess = conditions[worst[0], worst[1]], conditions[worst[0], COUNT + worst[1]]
+        far, which, value = excess, worst[1], measured
+        for condition in range(COMMANDS.start, told):
+            now = commands[condition - COMMANDS.start, at[number]]
+            if depends >> condition & 1 and excess_of(now, limits, condition) > far:
+                far, which, value = excess_of(now, limits, condition), condition, now
+        out[col.VALUE, number] /= 1.0 + limits[which, 3] * min(far, 1.0) if plan[slot, GROWS] and far > 0.0 else 1.0
         if far > (1.0 if plan[slot, GROWS] else 0.0):
             out[col.SOUND, number] = 0.0
-            outside[slot, worst[1], BEYOND] += 1.0
-            if far > outside[slot, worst[1], EXCESS]:
-                outside[slot, worst[1], EXCESS] = far
-                outside[slot, worst[1], FARTHEST] = conditions[worst[0], worst[1]]
+            outside[slot, which, BEYOND] += 1.0
+            if far > outside[slot, which, EXCESS]:
+                outside[slot, which, EXCESS], outside[slot, which, FARTHEST] = far, value
 
 
 @jit
@@ -352,7 +368,7 @@ def compiled() -> Callable[..., None]:
             counts[slot], stamps, own_ns = count, all_stamps[:count], rates_ns if plan[slot, BY_RATES] else t_ns
             for k in range(count):
                 stamps[k] = own_ns[at[slot, k]]
-            _let_count(plan, slot, stamps, bins, anywhere, limits, out[slot], outside, numbers)
+            _let_count(plan, slot, stamps, at[slot], bins, anywhere, limits, out[slot], outside, numbers)
             written, alarm, telling = (out[slot], evidence, at[slot], stamps), (alarms, alarms_ns), (told, told_ns)
             numbers[TOLD] = _take_values(
                 slot, (plan, thresholds[0]), t_ns, written, looks, alarm, telling, tally, numbers
@@ -591,7 +607,10 @@ class Kernel:
             old = int(memory.bins_ns[:known].searchsorted(first_ns - self._longest_ns))
             ends_ns, conditions, known = memory.bins_ns[old:known], memory.bins[old:known], known - old
             memory.bins_ns, memory.bins = _grown(ends_ns, more + MORE_BINS), _grown(conditions, more + MORE_BINS)
-        bins, rows_open = (memory.bins_ns, memory.bins), np.empty((2, opened + n), dtype=np.int64)
+        bins, rows_open = (
+            (memory.bins_ns, memory.bins, np.empty((3, len(times[1])))),
+            np.empty((2, opened + n), dtype=np.int64),
+        )
         rows_open[:, :opened] = memory.opened
         looks = self._records(done + 2)
         looks[:2] = memory.looks

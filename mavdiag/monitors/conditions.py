@@ -1,7 +1,8 @@
 """The conditions of flight (`rows.conditions`) from the columns of rows: a running figure like a monitor's.
 
 Rows are put into the bins of their times as they come. The rates of a bin come half a window later; with the first rate
-of the next one a bin is whole.
+of the next one a bin is whole. What is commanded counts from the rate on that shows it: a step of the set-points would
+else be judged until its bin is whole.
 """
 
 import math
@@ -26,11 +27,12 @@ TURN_BINS = 20  # 2 s: so long may a vehicle turn after a step of its commanded 
 BIN_NS = round(BIN_S * NS_PER_S)
 COUNT = len(Condition)
 OPEN_BINS = 64  # whose rows have come while their rates have not: twelve times the longest filter (our choice)
-# Places in the memory: number of the bin of the newest rate; in it the largest commanded rate and the newest three;
+COMMANDS = slice(2, 5)  # the conditions that the rates tell: the largest so far in their bin
+# Places in the memory: number of the bin of the newest rate; in it what `COMMANDS` are, and the newest three rates;
 # these and the heading at the end of the bin before; bins so far; of each of the last bins the mean roll and pitch
 # set-point and the slope of the heading; of each open bin its number, sums and counts of roll, pitch, thrust and yaw
 # rate, the least height and the newest heading.
-BIN, MOST, NEWEST, EDGE, BINS, PAST = 0, 1, 2, 5, 9, 10
+BIN, MOST, NEWEST, EDGE, BINS, PAST = 0, 1, 4, 7, 11, 12
 SUMS, COUNTS, LOW, HEADED, WIDTH = 1, 5, 9, 10, 11
 ROWS = PAST + 3 * TILT_BINS
 MEMORY = ROWS + OPEN_BINS * WIDTH
@@ -93,14 +95,8 @@ def _finish(mem: FloatArray, values: FloatArray, k: int) -> None:
             most = mem[one + 2]
     values[k, 0] = math.hypot(roll / TILT_BINS, pitch / TILT_BINS)
     values[k, 1] = mem[at + SUMS + 2] / mem[at + COUNTS + 2] if known else math.nan
-    values[k, 2] = mem[MOST]
-    sharpest = math.nan
     for j in range(3):
-        step = abs(mem[NEWEST + j] - mem[EDGE + j]) / BIN_S
-        if not sharpest >= step and math.isfinite(step):
-            sharpest = step
-        mem[EDGE + j] = mem[NEWEST + j]
-    values[k, 3], values[k, 4] = sharpest, step
+        values[k, COMMANDS.start + j], mem[EDGE + j] = mem[MOST + j], mem[NEWEST + j]
     turning = abs(mem[at + SUMS + 3] / mem[at + COUNTS + 3]) if known else math.nan
     values[k, 5] = min(turning, most) if most >= 0.0 and math.isfinite(turning) else turning
     values[k, 6] = mem[at + LOW] if known else math.nan
@@ -108,14 +104,28 @@ def _finish(mem: FloatArray, values: FloatArray, k: int) -> None:
 
 
 @jit
-def take_rows(
-    mem: FloatArray, x: FloatArray, first: int, known: int, times: Any, end_ns: IntArray, values: FloatArray, k: int
-) -> int:
-    """Take the next rows; put the bins that they complete to `end_ns` and `values` from k on, return where they end.
+def _take_rate(mem: FloatArray, x: FloatArray, i: int) -> None:
+    """Put the commanded rates of a row into the bin of the newest rate."""
+    for j in range(3):
+        rate = x[col.U + j, i] if x[col.COMMANDED, i] > 0.5 else math.nan
+        mem[NEWEST + j], step = rate, abs(rate - mem[EDGE + j]) / BIN_S
+        if j < 2 and not mem[MOST] >= abs(rate) and math.isfinite(rate):
+            mem[MOST] = abs(rate)
+        for place in range(MOST + 1, MOST + 2 if j < 2 else MOST + 3):
+            if not mem[place] >= step and math.isfinite(step):
+                mem[place] = step
 
-    times: of rows and of rates. values: (bins, COUNT or more), in the order of `Condition`; nan where unknown.
+
+@jit
+def take_rows(
+    mem: FloatArray, x: FloatArray, first: int, known: int, times: Any, bins: Any, commands: FloatArray, k: int
+) -> int:
+    """Take the next rows; put the bins that they complete from k on, return where they end.
+
+    times: of rows and of rates. bins: where they end, (n,) [ns], and their values, (n, COUNT or more), in the order of
+    `Condition`; nan where unknown. commands: (3, k) for what `COMMANDS` are so far, at each rate.
     """
-    (t_ns, rates_ns), row_bin, row_until, number, until = times, 0, 0, 0, 0
+    (t_ns, rates_ns), (end_ns, values), row_bin, row_until, number, until = times, bins, 0, 0, 0, 0
     for i in range(first, x.shape[1]):
         if t_ns[i - first] >= row_until:
             row_bin = t_ns[i - first] // BIN_NS
@@ -131,12 +141,10 @@ def take_rows(
                 end_ns[k] = (int(mem[BIN]) + 1) * BIN_NS
                 _finish(mem, values, k)
                 k += 1
-            mem[BIN], mem[MOST] = number, math.nan
+            mem[BIN], mem[MOST : MOST + 3] = number, math.nan
+        _take_rate(mem, x, i)
         for j in range(3):
-            rate = x[col.U + j, i] if x[col.COMMANDED, i] > 0.5 else math.nan
-            mem[NEWEST + j] = rate
-            if j < 2 and not mem[MOST] >= abs(rate) and math.isfinite(rate):
-                mem[MOST] = abs(rate)
+            commands[j, i - known] = mem[MOST + j]
     return k
 
 
@@ -144,7 +152,7 @@ def take_rows(
 def _measured(
     mem: FloatArray, x: FloatArray, first: int, known: int, times: Any, end_ns: IntArray, values: FloatArray
 ) -> int:
-    return take_rows(mem, x, first, known, times, end_ns, values, 0)
+    return take_rows(mem, x, first, known, times, (end_ns, values), np.empty((3, len(times[1]))), 0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -19,7 +19,7 @@ from mavdiag.identify import ArxModel, fit
 from mavdiag.identify.arx import ModelRecord
 from mavdiag.jit import cached, jit
 from mavdiag.monitors.base import Begin, Flights, LearnContext, Monitor, parted, walk
-from mavdiag.monitors.fitting import cut_to_share, of_each
+from mavdiag.monitors.fitting import USUAL_BIAS, cut_to_share, of_each
 from mavdiag.monitors.spec import Delay, Positive, spec
 from mavdiag.rows.block import COMMANDED, LEVEL, RESIDUAL, SOUND, VALUE, Floats, Ints, U, Y
 from mavdiag.rows.conditions import Condition
@@ -132,6 +132,7 @@ class RunLength(Monitor[RunLengthSpec]):
     )
     decides = False
     clear_s = 0.0
+    least = 0.05  # half an SG window: a glitch of the gyro is seen twice as long (our choice)
     least_hz = 20.0  # below it the loop has answered between two samples (our choice)
     by_rates = True
     shown = RESIDUAL
@@ -170,7 +171,9 @@ class RunLength(Monitor[RunLengthSpec]):
 
 def _margins(specs: Sequence[RunLengthSpec], flights: Flights) -> list[float]:
     """Margin [rad/s] of each axis over all judged rows of all flights, whose rates are looked at once; the percentile
-    is Hazen's, which MATLAB's prctile uses. Raises InputError if there are no such rows."""
+    is Hazen's, which MATLAB's prctile uses. No gyro's zero is known better than `USUAL_BIAS`, so no margin is less.
+    Raises InputError if there are no such rows.
+    """
     levels, monitors = [[np.empty(0)] for _ in specs], list(map(RunLength, specs))
     for judged in (piece for flight in flights for piece in walk(monitors, flight)):
         for found, (statistic, out) in zip(levels, judged, strict=True):
@@ -179,7 +182,8 @@ def _margins(specs: Sequence[RunLengthSpec], flights: Flights) -> list[float]:
         raise InputError("the healthy flights have no judged rows: are they long enough and airborne?")
     most = specs[0].margin_rule is MarginRule.MAXIMUM
     joined = (np.concatenate(found) for found in levels)
-    return [float(one.max() if most else np.percentile(one, 90, method="hazen")) for one in joined]
+    shown = (float(one.max() if most else np.percentile(one, 90, method="hazen")) for one in joined)
+    return [max(margin, USUAL_BIAS) for margin in shown]
 
 
 Parts = list[tuple[int, int, int]]

@@ -18,8 +18,9 @@ class Condition(StrEnum):
     TILT = "tilt"  # rad, of the mean commanded roll and pitch of 5 s: steady wind, or a steady acceleration
     THROTTLE = "throttle"  # 0..1, mean collective set-point
     COMMANDED_RATE = "commanded rate"  # rad/s, largest of roll and pitch
-    COMMANDED_ACCELERATION = "commanded angular acceleration"  # rad/s^2, largest of the three axes, over 0.1 s
-    YAW_ACCELERATION = "commanded yaw acceleration"  # rad/s^2, over 0.1 s
+    # rad/s^2: the largest change since the bin before, of the three axes, over 0.1 s
+    COMMANDED_ACCELERATION = "commanded angular acceleration"
+    YAW_ACCELERATION = "commanded yaw acceleration"  # rad/s^2, likewise of yaw
     YAW_RATE = "yaw rate"  # rad/s, mean measured one, and not more than the heading was commanded to move in 2 s
     HEIGHT = "height"  # m above take-off, least
 
