@@ -245,11 +245,9 @@ def test_motors_on_other_outputs_are_another_vehicle_and_no_fault(order: tuple[i
 
 @pytest.mark.parametrize(
     ("flight", "judged", "words"),
-    [
-        (yawed(flying(3000, 7), 0.12), False, "another vehicle: does not look like made: yaw trim +0.12"),
-        (scaled(Signal.SPECIFIC_FORCE, 0.4), True, "; may be another vehicle than made, or have new"),
-    ],
-)
+    [(yawed(flying(3000, 7), 0.12), False, "another vehicle: does not look like made: yaw trim +0.12"),
+        (scaled(Signal.SPECIFIC_FORCE, 0.4), True, "; may be another vehicle than made, or have new")],
+)  # fmt: skip
 def test_another_vehicle_is_not_judged_and_a_near_one_has_a_note(flight: Telemetry, judged: bool, words: str) -> None:
     found = judge(logged(flight), whole())
     assert (found.verdict is not Verdict.NOT_JUDGEABLE) == (found.judged_s > 0) == judged

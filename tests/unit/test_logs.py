@@ -421,8 +421,7 @@ def test_modes_and_coordinates_are_those_of_every_era(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("reader", "content", "words"),
-    [
-        (read_crazyflie, with_checksum(crazyflie_content([PID], RECORDS))[:-1], "checksum"),
+    [(read_crazyflie, with_checksum(crazyflie_content([PID], RECORDS))[:-1], "checksum"),
         (read_crazyflie, with_checksum(crazyflie_content([PID], RECORDS)[:-5]), "cut short"),
         (read_crazyflie, with_checksum(crazyflie_content([PID], RECORDS, version=3)), "version 3"),
         (read_crazyflie, with_checksum(crazyflie_content([PID], [])), "no records"),
@@ -439,9 +438,8 @@ def test_modes_and_coordinates_are_those_of_every_era(tmp_path: Path) -> None:
         (read_ulog, ULOG_HEAD, "damaged"),
         (read_ulog, ulog([], [ulog_message("B", bytes(8) + b"\xff" * 8 + bytes(24))]), "incompatible"),
         (read_dataflash, dataflash([IMU, ATT], []), "logging was on"),
-        (read_dataflash, b"".join(wrapped(40)[1]), "its start, .* is missing"),
-    ],
-)
+        (read_dataflash, b"".join(wrapped(40)[1]), "its start, .* is missing")],
+)  # fmt: skip
 def test_unusable_files_are_one_line(tmp_path: Path, reader: Callable[[Path], Log], content: bytes, words: str) -> None:
     (path := tmp_path / "a log").write_bytes(content)
     with pytest.raises(InputError, match=words) as caught:
