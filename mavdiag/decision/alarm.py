@@ -312,9 +312,8 @@ def _suspected_rotor(now: Diagnosis, fresh: Sequence[Reading], height: Height) -
     """The diagnosis with the rotor that a suspicion names, the latest one; and whether that is news."""
     if now.stage in (Stage.QUIET, Stage.NOT_JUDGED):
         return replace(now, rotor=None, confidence=None), False
-    place = (
-        named(FaultKind.PROPELLER, fresh, False) if (now.stage, height) == (Stage.SUSPECTED, Height.RAISED) else None
-    )
+    raised = (now.stage, height) == (Stage.SUSPECTED, Height.RAISED)
+    place = named(FaultKind.PROPELLER, fresh, False) if raised else None
     if place is None or place.rotor in (None, now.rotor):
         return now, False
     return replace(now, rotor=place.rotor, confidence=place.confidence), True

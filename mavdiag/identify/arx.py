@@ -23,6 +23,7 @@ Order: TypeAlias = tuple[int, int, int]  # na, nb, nk
 Records: TypeAlias = FloatArray | Sequence[FloatArray]  # one record, or one per segment
 
 BLOCK_ROWS = 256  # rows per block of `triangle`: fits the cache and stays below the size that BLAS threads
+ROUNDING = 1e-5  # of the range of y: an input that moves no more is constant but for its rounding (our choice)
 EPSILON = float(np.finfo(np.float64).eps)
 MIN_ROWS_PER_PARAMETER = 10  # our rule of thumb; below it a standard error means little
 
@@ -221,12 +222,11 @@ def to_segments(u: Records, y: Records, order: Order) -> tuple[Segment, ...]:
             raise IdentificationError(wrong)
     parameters, rows = order[0] + order[1], sum(len(segment) - reach(order) for segment in segments)
     if rows < MIN_ROWS_PER_PARAMETER * parameters:
-        raise IdentificationError(
-            f"too short: {rows} usable rows for {parameters} parameters; record {MIN_ROWS_PER_PARAMETER} rows for each"
-        )
-    for name, records in (("u", us), ("y", ys)):
-        if max(float(np.ptp(record)) for record in records) == 0.0:
-            raise IdentificationError(f"{name} is constant; fly a trajectory that moves this axis")
+        why = f"too short: {rows} usable rows for {parameters} parameters; record {MIN_ROWS_PER_PARAMETER} for each"
+        raise IdentificationError(why)
+    range_u, range_y = (max(float(np.ptp(record)) for record in records) for records in (us, ys))
+    if range_y == 0.0 or range_u <= ROUNDING * range_y:
+        raise IdentificationError(f"{'u' if range_y else 'y'} is constant; fly a trajectory that moves this axis")
     return segments
 
 

@@ -226,10 +226,9 @@ def odd_rate(flights: Sequence[HeldLog], window_s: float) -> tuple[int, str] | N
     tolerance, odd = rate_tolerance(grid, dt_s, window_s), int(np.argmax(apart))
     if apart[odd] <= tolerance:
         return None
-    return odd, (
-        f"{flights[odd].label.name} has a gyro rate of {1 / flights[odd].dt_s:.1f} Hz, the others have "
-        f"{1 / dt_s:.1f} Hz, more than {100 * tolerance:.0f} % apart"
-    )
+    name, others_s = flights[odd].label.name, _common_grid([*flights[:odd], *flights[odd + 1 :]])[0]
+    rates = f"a gyro rate of {1 / flights[odd].dt_s:.1f} Hz, the others have {1 / others_s:.1f} Hz"
+    return odd, f"{name} has {rates}, more than {100 * tolerance:.0f} % apart"
 
 
 def sessions_of(flights: Sequence[Log | SourceLog], told: int | None = None) -> list[int]:

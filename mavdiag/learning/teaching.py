@@ -238,16 +238,14 @@ def far_blocks(flights: Sequence[LearntFlight]) -> tuple[Finding, ...]:
         loud = (size > limit) & ~((table[:, 3 + column] < math.log(LEAST_ERROR_RAD_S)) & (name == "rate error"))
         for i in np.flatnonzero(loud).tolist():
             number, from_s, to_s = table[i, :3].tolist()
-            text = f"{name} {math.exp(values[i, column]):.2g} times that of the other flights' blocks"
+            text = f"{name} {math.exp(values[i, column]):.2g} times that of all other stretches"
             far.append((int(number), from_s, to_s, text))
-    found = list[Finding]()  # blocks that follow each other make one
+    joined = list[tuple[int, float, float, str]]()  # blocks that follow each other make one
     for number, from_s, to_s, text in sorted(far, key=lambda block: block[:2]):
-        last = found[-1] if found and found[-1].number == number else None
-        if last is not None and last.from_s is not None and last.to_s is not None and from_s <= last.to_s + BLOCK_S:
-            found[-1] = replace(last, to_s=max(last.to_s, to_s))
-        else:
-            found.append(Finding(number, flights[number].label.name, text, from_s, to_s))
-    return tuple(replace(one, text=f"{one.place}: {one.text}") for one in found)
+        if joined and joined[-1][0] == number and from_s <= joined[-1][2] + BLOCK_S:
+            _, from_s, _, text = joined.pop()
+        joined.append((number, from_s, to_s, text))
+    return tuple(Finding(n, flights[n].label.name, text, from_s, to_s) for n, from_s, to_s, text in joined)
 
 
 def _blocks(rows: Rows) -> Iterator[tuple[float, ...]]:

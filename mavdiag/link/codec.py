@@ -257,9 +257,9 @@ def layout_of(msgid: int) -> Layout:
 
 
 def message_name(msgid: int) -> str:
-    """The name of a message, or `UNKNOWN_<id>` outside the dialect."""
+    """The name of a message, or `UNKNOWN_<id>` outside the dialect; `UNKNOWN` for all of those together."""
     layout = _LAYOUTS.get(msgid)
-    return layout.name if layout else f"UNKNOWN_{msgid}"
+    return layout.name if layout else f"UNKNOWN_{msgid}".removesuffix(f"_{UNKNOWN}")
 
 
 def command_numbers() -> dict[str, int]:

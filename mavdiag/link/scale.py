@@ -4,6 +4,7 @@ A vehicle that stands or hovers feels 1 g: how many counts that is tells what th
 change of attitude: their ratio gives its scale and sign, and the shift at which both agree best its delay.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,10 +18,14 @@ ALIKE = 0.1  # counts this near to a known scale are of it (our choice: hovering
 LAGS_S = np.arange(-0.2, 0.2001, 0.002)  # delays that are tried
 LEAST_MOTION = 0.02  # rad/s, standard deviation of a rate below which it says nothing of the gyro (our choice)
 LEAST_STEPS = 50  # of the attitude
-MOST_STEPS = 2000  # of them that are compared: those that turn fastest
+SPAN_S = 0.1  # of a slope, or one step: over less, a rounded or noisy attitude has slopes of its own (our choice)
+SLOWEST_S = 0.06  # between two of the gyro: more hides the motion in between (our choice: the monitors need 20 Hz)
+STEEP_RAD = 1.0  # of roll or pitch: beyond it Euler angles turn faster than a slope shows (our choice)
+SPIKE = 10.0  # times the step that 95 % stay below: a sample so far outside its neighbours is damage (our choice)
+MOST_STEPS = 2000  # of the slopes about each axis that are compared: those farthest from their mean
 SURE = 0.8  # correlation below which scale and delay are not believed (our choice)
 SCALE_OK = 0.2  # a scale this near to 1 is right: filters and slow attitude streams take their part (our choice)
-USUAL = 3.0  # steps of the attitude above this multiple of the median are gaps (our choice)
+USUAL = 3.0  # slopes over more than this multiple of the median span a gap (our choice)
 
 # Counts of 1 g, and what they are. Two's complement of 16 bits over the full scale of the sensor.
 _SCALES = (
@@ -66,31 +71,38 @@ class AxisCheck:
 
 
 def gyro_checks(gyro: Series, attitude: Series) -> tuple[AxisCheck, ...]:
-    """Scale, sign and delay of the gyro, by axis; empty where too little of either came.
+    """Scale, sign and delay of the gyro, by axis; empty where too little of either came, or too slow a gyro.
 
-    The slope of the attitude between two of its samples, as body rates, is compared with the mean gyro in between.
+    The slope of the attitude over `SPAN_S`, as body rates, is compared with the mean gyro in between.
     """
     t_ns, first = np.unique(attitude.t_ns, return_index=True)
     gyro_ns, own = np.unique(gyro.t_ns, return_index=True)
-    if len(t_ns) < LEAST_STEPS or len(gyro_ns) < LEAST_STEPS:
+    if len(t_ns) < LEAST_STEPS or len(gyro_ns) < LEAST_STEPS or np.median(np.diff(gyro_ns)) > SLOWEST_S * NS_PER_S:
         return ()
-    angles, t = np.unwrap(attitude.values[first], axis=0), (t_ns - t_ns[0]) / NS_PER_S
-    gyro_s, rate = (gyro_ns - t_ns[0]) / NS_PER_S, gyro.values[own]
-    trapezia = 0.5 * (rate[1:] + rate[:-1]) * np.diff(gyro_s)[:, None]
-    turned = np.vstack((np.zeros((1, 3)), np.cumsum(trapezia, axis=0)))
-    steps = np.diff(t)
-    used = (steps < USUAL * np.median(steps)) & (t[:-1] > gyro_s[0]) & (t[1:] < gyro_s[-1])
-    if np.count_nonzero(used) < LEAST_STEPS:
+    angles, t = _sound(np.unwrap(attitude.values[first], axis=0)), (t_ns - t_ns[0]) / NS_PER_S
+    gyro_s, rate = (gyro_ns - t_ns[0]) / NS_PER_S, _sound(gyro.values[own])
+    turned = np.pad(np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(gyro_s)[:, None], axis=0), ((1, 0), (0, 0)))
+    ahead = max(1, round(SPAN_S / (step_s := float(np.median(np.diff(t))))))
+    middle, begins, ends = 0.5 * (angles[ahead:] + angles[:-ahead]), t[:-ahead], t[ahead:]
+    level = np.abs(angles[:, :2]).max(axis=1) < STEEP_RAD
+    used = level[ahead:] & level[:-ahead] & (ends - begins < USUAL * ahead * step_s)
+    usable, checks = np.flatnonzero(used & (begins > gyro_s[0]) & (ends < gyro_s[-1])), []
+    if len(usable) < LEAST_STEPS:
         return ()
-    middle, slopes = 0.5 * (angles[1:] + angles[:-1]), np.diff(angles, axis=0) / steps[:, None]
-    slopes = np.stack(body_rates(middle[:, 0], middle[:, 1], *slopes.T), axis=1)
-    fastest = np.argsort(np.where(used, np.abs(slopes).max(axis=1), -1.0))[-min(MOST_STEPS, int(used.sum())) :]
-    times = LAGS_S[:, None] + t[fastest], LAGS_S[:, None] + t[fastest + 1]
-    span_s, checks = steps[fastest], []
-    for k, name in enumerate(("roll", "pitch", "yaw")):
-        begin, end = (np.interp(at, gyro_s, turned[:, k]) for at in times)
-        checks.append(_axis_check(name, slopes[fastest, k], (end - begin) / span_s))
+    slopes = body_rates(*middle[:, :2].T, *((angles[ahead:] - angles[:-ahead]).T / (ends - begins)))
+    for name, slope, way in zip(("roll", "pitch", "yaw"), slopes, turned.T, strict=True):
+        own = usable[np.argsort(np.abs(slope[usable] - slope[usable].mean()))[-MOST_STEPS:]]
+        begin, end = (np.interp(LAGS_S[:, None] + at[own], gyro_s, way) for at in (begins, ends))
+        checks.append(_axis_check(name, slope[own], (end - begin) / (ends - begins)[own]))
     return tuple(checks)
+
+
+def _sound(values: FloatArray) -> FloatArray:
+    """Lone samples far outside their neighbours, which damage makes, become the nearer neighbour."""
+    padded = np.pad(values, ((1, 1), (0, 0)), mode="edge")
+    near = np.clip(values, np.minimum(padded[:-2], padded[2:]), np.maximum(padded[:-2], padded[2:]))
+    limit = SPIKE * np.percentile(np.abs(np.diff(values, axis=0)), 95, axis=0)
+    return np.where(np.abs(values - near) > limit, near, values)
 
 
 def _axis_check(name: str, slope: FloatArray, shifted: FloatArray) -> AxisCheck:
@@ -105,13 +117,8 @@ def _axis_check(name: str, slope: FloatArray, shifted: FloatArray) -> AxisCheck:
     found = float(correlation[best])
     if abs(found) < SURE:
         return AxisCheck(name, None, None, found, "does not follow the attitude: another axis, or a poor clock")
-    scale, delay_s = float(gyro[best] @ slope / (slope @ slope)), float(LAGS_S[best])
-    return AxisCheck(name, scale, delay_s, found, _verdict(scale))
-
-
-def _verdict(scale: float) -> str:
-    sign = "turns the wrong way; " if scale < 0 else ""
-    if abs(abs(scale) - 1.0) <= SCALE_OK:
-        return f"{sign}scale right" if sign else "right"
-    named = next((f": {name}" for one, name in _RATES if abs(abs(scale) / one - 1.0) <= SCALE_OK), "")
-    return f"{sign}wrong scale{named}"
+    scale, delay_s = math.copysign(gyro[best].std() / slope.std(), found), float(LAGS_S[best])
+    named = next((f": {unit}" for one, unit in _RATES if abs(abs(scale) / one - 1.0) <= SCALE_OK), "")
+    size = "right" if abs(abs(scale) - 1.0) <= SCALE_OK else f"wrong scale{named}"
+    text = size if scale > 0 else f"turns the wrong way; {size.replace('right', 'scale right')}"
+    return AxisCheck(name, scale, delay_s, found, text)

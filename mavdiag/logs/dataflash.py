@@ -113,7 +113,7 @@ class Walk:
 
     def __init__(self, wanted: Collection[str]) -> None:
         self._wanted = wanted
-        self._formats: dict[int, Format] = {}
+        self.formats: dict[int, Format] = {}
         self._lengths = np.zeros(256, np.int64)  # by type; 0 for unknown
         self._lengths[FMT_TYPE] = FMT_BYTES
         self._taken = np.zeros(256, np.bool_)  # whether records of a type are gathered
@@ -144,7 +144,7 @@ class Walk:
             at = places[octets[places + 2] == kind]
             if len(at):
                 starts += (at + self._base).data
-                records += gather(data, self._formats[kind].layout(), at).view(np.uint8).data
+                records += gather(data, self.formats[kind].layout(), at).view(np.uint8).data
         self._lost = bool(data[sound_end:].strip(b"\0\xff")) or (self._lost and not sound_end)
         self._sound_end = self._base + sound_end if sound_end else self._sound_end
         self._carry = data[position:]
@@ -157,7 +157,7 @@ class Walk:
         """
         found: Tables = defaultdict(lambda: Table("", None, {}))
         for kind, (starts, records) in self._gathered.items():
-            form = self._formats[kind]
+            form = self.formats[kind]
             if starts and form.name not in found:
                 stored = np.frombuffer(records, form.layout())
                 found[form.name] = table_of(form, np.frombuffer(starts, np.int64), stored)
@@ -171,10 +171,10 @@ class Walk:
         kind, length, *texts = FMT_BODY.unpack_from(data, position + HEADER_BYTES)
         name, characters, labels = (raw.partition(b"\0")[0].decode("latin-1") for raw in texts)
         form = Format(length, name, characters, tuple(labels.split(",")))
-        known = self._formats.get(kind)
+        known = self.formats.get(kind)
         if kind == FMT_TYPE or form.length < HEADER_BYTES or (known is not None and known.sound):
             return
-        self._formats[kind], self._lengths[kind] = form, form.length
+        self.formats[kind], self._lengths[kind] = form, form.length
         if form.name in self._wanted and form.sound:
             self._taken[kind] = True
             self._gathered[kind] = bytearray(), bytearray()
@@ -270,7 +270,9 @@ def read_dataflash(path: Path) -> Log:
     loop, outputs = _rate_loop(tables, found.get(Signal.BODY_RATE)), _actuator(tables, motors, functions)
     series = (*found.values(), *loop, *outputs, *_rotor_speeds(tables, motors, parameters), *_armed(tables))
     if not series:
-        raise InputError(f"{path}: not a usable DataFlash log: no record of a known signal; check that logging was on")
+        lost = "its start, which says what its records are (FMT), is missing; take the whole file"
+        why = "no record of a known signal; check that logging was on" if walk.formats else lost
+        raise InputError(f"{path}: not a usable DataFlash log: {why}")
     named = (path.name, digest.hexdigest(), PROFILE)
     kind = _mav_type(tables["MSG"], parameters)
     told, began_ns = (*notes, *_esc_notes(tables["EDT2"])), _started_ns(tables, series)
@@ -371,9 +373,8 @@ def _batches(head: Table, data: Table) -> tuple[Batch, ...]:
         return ()
     number, kind, instance, unit, time_us, rate_hz = (head.column(name) for name in names)
     raw, found = np.stack(axes, axis=2), list[Batch]()
-    wanted = (
-        (kind == ACCELEROMETER) & (unit > 0) & (rate_hz > 0) & np.isfinite(unit * rate_hz) & (time_us < MAX_TIME_US)
-    )
+    wanted = (kind == ACCELEROMETER) & (unit > 0) & (rate_hz > 0)
+    wanted &= np.isfinite(unit * rate_hz) & (time_us < MAX_TIME_US)
     wanted &= instance == instance[wanted].min(initial=np.inf)
     ends = np.searchsorted(data.starts, np.append(head.starts, np.iinfo(np.int64).max))  # its data are before the next
     for at in np.flatnonzero(wanted).tolist():
@@ -467,4 +468,4 @@ def _recognise(head: bytes) -> bool:
     return head.startswith(SIGNATURE) or (head.count(HEADER) >= MIN_HEADERS and head[8:9] not in (b"\xfd", b"\xfe"))
 
 
-KIND = LogKind("DataFlash", _recognise, lambda path, *_: read_dataflash(path), (PROFILE,), RECORDED_GATE)
+KIND = LogKind("DataFlash .bin", _recognise, lambda path, *_: read_dataflash(path), (PROFILE,), RECORDED_GATE)

@@ -307,7 +307,7 @@ def _signals(log: Log, needs: Iterable[Signal], rates: Mapping[str, float]) -> t
             gives = log_remedy(log.profile, signal)
             end = f": set {gives}" if gives else " in the log"
         elif message is None:
-            end = f" on a link of the profile {profile.name}"
+            end = f" to judge on a link of the profile {profile.name}"
         else:
             gives, label, name = remedy(profile.autopilot, message), name, message_name(message)
             end = f": {gives}" if gives else f" ({label})"

@@ -16,10 +16,8 @@ CLOSING = "this is no verdict: that takes a baseline of flights with sound prope
 
 def in_full(found: Inspection) -> str:
     """All about one log or link, in lines of at most 80 characters."""
-    wrapper = textwrap.TextWrapper(WIDTH, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
-    lines = (
-        wrapper.wrap(printable(text)) if isinstance(text, str) else map(printable, text) for text in _paragraphs(found)
-    )
+    wrap = textwrap.TextWrapper(WIDTH, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False).wrap
+    lines = (wrap(printable(one)) if isinstance(one, str) else map(printable, one) for one in _paragraphs(found))
     return "\n".join(itertools.chain.from_iterable(lines))
 
 
@@ -48,8 +46,7 @@ def parts_of(found: Inspection) -> list[str]:
     if found.line is not None and not found.line.reason:
         parts.append(f"line at {found.line.hz:.0f} Hz")
     works = sum(state.works for state in found.monitors)
-    parts.append(f"{works} of {counted(len(found.monitors), 'monitor')} could judge")
-    return parts
+    return [*parts, f"{works} of {counted(len(found.monitors), 'monitor')} could judge"]
 
 
 def _paragraphs(found: Inspection) -> Iterator[str | list[str]]:
@@ -73,7 +70,7 @@ def _paragraphs(found: Inspection) -> Iterator[str | list[str]]:
         figures = "" if axis.scale is None else f"{axis.scale:.2f} of the attitude's slope, {delay_ms:+.0f} ms, "
         yield f"gyro {axis.axis}: {figures}{axis.verdict}"
     if not units.gyro:
-        yield "gyro: no attitude to compare it with"
+        yield "gyro: not compared with the attitude, which takes some seconds of both, the gyro at 20 Hz or more"
     yield found.rotors
     if not found.no_flight:
         yield from _loads(found.loads)
@@ -106,9 +103,8 @@ def _link(found: Inspection) -> str:
 
 
 def _clock(clock: Clock) -> str:
-    drift, ppm = "", clock.drift_ppm
-    if ppm is not None:
-        drift = f", it runs {abs(ppm):.0f} ppm {'slower' if ppm > 0 else 'faster'} than ours"
+    ppm = clock.drift_ppm
+    drift = "" if ppm is None else f", it runs {abs(ppm):.0f} ppm {'slower' if ppm > 0 else 'faster'} than ours"
     late = ", ".join(f"{name} {ms:+.0f} ms" for name, ms in clock.signals_ms.items() if abs(ms) >= 1.0)
     return f"transport delay varies by {clock.spread_ms:.1f} ms{drift}" + (f"; beside the gyro {late}" if late else "")
 

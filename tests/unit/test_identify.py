@@ -148,7 +148,7 @@ def test_bad_data_are_refused_with_one_line(method: str) -> None:
         (u, y[:-1], "400 samples and y has 399"),
         (u, holed, "NaN"),
         (np.full_like(u, np.inf), y, "infinite"),
-        (np.ones_like(u), y, "u is constant"),
+        (1.0 + 1e-9 * u, y, "u is constant"),  # but for its rounding
         (u, np.ones_like(y), "y is constant"),
         (np.r_[np.ones(200), 2 * np.ones(200)][:, None] * [1, 1], y, "one-dimensional"),
         ([u, u], [y], "one of each"),

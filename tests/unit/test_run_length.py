@@ -38,9 +38,8 @@ def test_fsd_counts_consecutive_judged_rows_above_the_margin(rows: list[tuple[fl
     columns[WHOLE : WHOLE + 2], columns[U + 3 : U + 6] = judged, np.outer(np.eye(3)[axis.column], turned)
     still = ModelRecord(a=(1.0, 0.0), b=(0.0,), dt_s=DT_S, order=(1, 1, 0), method=Method.LS)
     found = read(RunLength(RunLengthSpec(axis=axis, model=still, margin_rad_s=1.0)), made)
-    expected, count = [], 0
-    for x, v in rows:
-        expected.append(count := count + 1 if v and abs(x) > 1.0 else 0)
+    count = 0
+    expected = [count := count + 1 if v and abs(x) > 1.0 else 0 for x, v in rows]
     assert len(found) == n
     np.testing.assert_allclose(found.value, DT_S * np.array(expected), rtol=1e-12)
 
@@ -135,6 +134,13 @@ def test_a_rotor_s_line_that_a_load_moves_is_not_leant_on() -> None:  # from 155
     light, loaded = (responding(6000, 2, bias=0.05 * np.sin(hz * turns)) for hz in (155, 168))
     (spec,) = Innovation.fit([[light]], example_context(hover_rad_s=310 * np.pi))
     assert float(np.median(read(Innovation(spec), loaded).value)) < 1.2
+
+
+def test_an_axis_that_is_never_commanded_has_no_law_of_what_its_command_is_rounded_by() -> None:
+    (taught := responding(6000, 3)).rates.u[:, 1] *= 1e-12
+    spec = fit([[taught]])
+    assert (spec.b[1], spec.k1[1]) == ((0.0,) * 4, 0.0)  # 1e12 and 1e24 times what they are
+    assert read(Innovation(spec), responding(3000, 7)).value.max() < 3.0
 
 
 def test_what_is_slow_is_no_news_however_calm_the_flights_that_taught() -> None:

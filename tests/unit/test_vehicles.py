@@ -73,12 +73,9 @@ class Sender:
 
 def run(decoder: LinkDecoder, chunks: list[tuple[bytes, int]]) -> int:
     """Feed chunk by chunk; how many gyro samples came out."""
-    found = 0
-    for chunk in chunks:
-        for received in decoder.feed(as_columns([chunk]), chunk[1]).values():
-            rate = received.telemetry.get(Signal.BODY_RATE)
-            found += 0 if rate is None else len(rate)
-    return found
+    answers = [one for chunk in chunks for one in decoder.feed(as_columns([chunk]), chunk[1]).values()]
+    rates = [one.telemetry.get(Signal.BODY_RATE) for one in answers]
+    return sum(len(rate) for rate in rates if rate is not None)
 
 
 def test_a_vehicle_enters_when_its_profile_is_clear_and_brings_its_frames_along() -> None:
@@ -179,7 +176,7 @@ def test_the_rates_of_attitude_are_read_where_no_imu_message_comes_for_long_unti
     assert received[1].telemetry[Signal.BODY_RATE].values.tolist() == [pytest.approx([0.01, 0.02, 0.03])]
     sender.k = 4000
     assert run(decoder, [(data, at_ns) for data, at_ns in sender.chunks(50)]) == 50
-    assert message_name(stream.profile.imu) == "RAW_IMU"
+    assert (message_name(stream.profile.imu), message_name(-1), message_name(8)) == ("RAW_IMU", "UNKNOWN", "UNKNOWN_8")
 
 
 @pytest.mark.parametrize(("imu", "more"), [(MessageId.SCALED_IMU2, ()), (MessageId.RAW_IMU, (0, 0, 0, 1))])
@@ -392,10 +389,8 @@ def pair(scale: FloatArray, late_s: float, seed: int = 1) -> tuple[Series, Serie
     t, slow = np.arange(0, SECONDS, 0.01), np.arange(0, SECONDS, 0.04)
     noise = np.random.default_rng(seed).normal(0, 0.02, (len(t), 3))
     wrapped = (angles(slow) + np.pi) % (2 * np.pi) - np.pi
-    return (
-        series(Signal.BODY_RATE, t, (body_rates(angles(t), 0.01) + noise) * scale, late_s),
-        series(Signal.ATTITUDE, slow, wrapped),
-    )
+    gyro = series(Signal.BODY_RATE, t, (body_rates(angles(t), 0.01) + noise) * scale, late_s)
+    return gyro, series(Signal.ATTITUDE, slow, wrapped)
 
 
 @pytest.mark.parametrize("late_s", [0.0, 0.03, -0.05])
@@ -404,21 +399,27 @@ def test_the_attitudes_slope_gives_scale_sign_and_delay_of_the_gyro(late_s: floa
     roll, pitch, yaw = gyro_checks(gyro, attitude)
     assert (roll.scale, pitch.scale) == pytest.approx((1.0, -1.0), abs=0.03)
     assert yaw.scale == pytest.approx(1.0 / DEG, rel=0.03)
-    for one in (roll, pitch, yaw):
-        assert one.delay_s == pytest.approx(late_s, abs=0.006)
-    assert (roll.verdict, pitch.verdict) == ("right", "turns the wrong way; scale right")
-    assert yaw.verdict == "wrong scale: deg/s"
+    assert (roll.delay_s, pitch.delay_s, yaw.delay_s) == pytest.approx((late_s,) * 3, abs=0.006)
+    assert roll.verdict == "right"
+    assert (pitch.verdict, yaw.verdict) == ("turns the wrong way; scale right", "wrong scale: deg/s")
+
+
+def test_rounding_damage_and_a_tumble_do_not_hide_that_the_gyro_is_right_and_a_slow_one_is_not_compared() -> None:
+    t = np.arange(0, SECONDS, 0.0025)
+    calm, step = 0.1 * angles(t), 0.01 * DEG  # ArduPilot logs hundredths of a degree, at up to 400 Hz
+    rates, rounded = body_rates(calm, 0.0025), np.round(calm / step) * step
+    rates[4000], rounded[5000] = 1e25, 1.7  # damaged
+    rounded[-400:] = np.random.default_rng(1).uniform(1.5, 2.5, (400, 3))
+    gyro, attitude = series(Signal.BODY_RATE, t, rates), series(Signal.ATTITUDE, t, rounded)
+    assert [one.verdict for one in gyro_checks(gyro, attitude)] == ["right"] * 3
+    assert gyro_checks(gyro.where(slice(None, None, 100)), attitude) == ()
 
 
 @pytest.mark.parametrize(
     ("profile", "felt_g", "said"),
-    [
-        ("qdrone2", 1.3, ""),
-        ("qdrone2", 2.05, "2.0 g: --profile spec"),
-        ("spec", 0.49, "0.5 g: --profile ardupilot"),
-        ("px4", 9.8, "9.8 g"),
-    ],
-)
+    [("qdrone2", 1.3, ""), ("qdrone2", 2.05, "2.0 g: --profile spec"),
+        ("spec", 0.49, "0.5 g: --profile ardupilot"), ("px4", 9.8, "9.8 g")],
+)  # fmt: skip
 def test_a_profile_against_gravity_is_told_with_the_one_that_fits(profile: str, felt_g: float, said: str) -> None:
     assert scale_doubt(PROFILES[profile], felt_g) == said
 
