@@ -259,7 +259,9 @@ def layout_of(msgid: int) -> Layout:
 def message_name(msgid: int) -> str:
     """The name of a message, or `UNKNOWN_<id>` outside the dialect; `UNKNOWN` for all of those together."""
     layout = _LAYOUTS.get(msgid)
-    return layout.name if layout else f"UNKNOWN_{msgid}".removesuffix(f"_{UNKNOWN}")
+    if layout is None:
+        return "UNKNOWN" if msgid == UNKNOWN else f"UNKNOWN_{msgid}"
+    return layout.name
 
 
 def command_numbers() -> dict[str, int]:
