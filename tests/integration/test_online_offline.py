@@ -34,6 +34,7 @@ from mavdiag.demo.subprocesses import Child, child
 from mavdiag.errors import LinkError
 from mavdiag.judging import judge, judge_in_full
 from mavdiag.link.datagrams import as_columns
+from mavdiag.link.link import Link
 from mavdiag.link.ports import Endpoint, open_endpoint, wait
 from mavdiag.link.shim import Impairment, Shim
 from mavdiag.logs import read_log
@@ -244,12 +245,12 @@ def test_a_link_is_judged_as_its_log(tmp_path: Path) -> None:
     log = judge_in_full(read_log(path), baseline)
     assert log.chain is not None
     live, brief = LiveJudge(baseline, span_s=60.0), LiveJudge(baseline, span_s=2.0)
-    changes: list[Change] = []
-    frames = list(recorded(path))
+    link, changes, frames = Link(memory_pair()[0]), list[Change](), list(recorded(path))
     for first in range(0, len(frames), 200):
         some = frames[first : first + 200]
-        changes += live.take(as_columns(some), some[-1][1])
-        brief.take(as_columns(some), some[-1][1])
+        telemetry = link.take(as_columns(some), some[-1][1])
+        changes += live.judge(telemetry)
+        brief.judge(telemetry)
     (trace, _) = rate_traces(brief.chain, brief.pieces)
     assert 1.9 <= (trace.t_ns[-1] - trace.t_ns[0]) / 1e9 <= 2.6  # only the last seconds are kept
     assert changes == list(log.verdict.changes)[: len(changes)]
@@ -259,9 +260,9 @@ def test_a_link_is_judged_as_its_log(tmp_path: Path) -> None:
         assert count > 10_000
         np.testing.assert_array_equal(one.t_ns, other.t_ns[:count])
         np.testing.assert_allclose(one.residual, other.residual[:count], atol=1e-12)
-    assert live.vehicle == 1
-    assert live.count is not None
-    assert live.count.lost == 0
+    assert link.vehicle == 1
+    assert link.count is not None
+    assert link.count.lost == 0
 
 
 @pytest.mark.realtime

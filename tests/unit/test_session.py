@@ -1,10 +1,9 @@
 """What a session does: stories on a virtual clock, laws that hold whatever happens, and the table of states."""
 
 import itertools
-import multiprocessing
+import os
 import runpy
 import threading
-import time
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
@@ -397,28 +396,20 @@ def test_a_turn_brings_more_looks_where_there_are_many_vehicles(many: int, looks
     assert fleet.looks == looks
 
 
-def test_only_its_own_process_is_ended() -> None:
-    context = multiprocessing.get_context("spawn")
-    other = context.Process(target=time.sleep, args=(60.0,))
-    other.start()
-    try:
-        fitter = ProcessFitter()
-        fitter.begin(1, Airframe(), Learn("qdrone2", Telemetry()))
-        wait_for(lambda: len(multiprocessing.active_children()) == 2, "the fit begins")
-        [own] = [one for one in multiprocessing.active_children() if one.pid != other.pid]
-        fitter.close()
-        wait_for(lambda: not own.is_alive(), "it ends")  # the fitter's thread waits for it, too: one of both is told
-        assert other.is_alive()
-    finally:
-        other.kill()
-        other.join()
+def test_a_fit_that_is_given_up_ends_its_process_and_ctrl_c_is_not_its_business() -> None:
+    fitter = ProcessFitter()
+    fitter.begin(1, Airframe(), Learn("qdrone2", Telemetry()))
+    process = wait_for(lambda: fitter._process, "the fit begins")
+    assert os.getsid(process.pid) == process.pid
+    fitter.close()
+    assert process.wait(10.0) == -9
 
 
-@pytest.mark.parametrize("what", ["multiprocessing.util.spawnv_passfds", "multiprocessing.connection.Connection.recv"])
+@pytest.mark.parametrize("what", ["subprocess.Popen", "subprocess.Popen.communicate"])
 def test_a_fitting_process_that_fails_is_an_outcome_and_nothing_waits_for_it(what: str) -> None:
     begun, fitter = threading.Event(), ProcessFitter()
 
-    def fail(*_: object) -> None:
+    def fail(*_: object, **__: object) -> None:
         raise OSError(f"begun {begun.wait(10.0)}")
 
     with patch(what, fail):
