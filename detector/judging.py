@@ -3,7 +3,7 @@
 from collections.abc import Hashable
 from dataclasses import replace
 
-from detector.alerts import Kind, Notice, label_of
+from detector.alerts import Kind, Notice
 from detector.config import SessionSettings
 from detector.streams import Streams
 from detector.values import EventClosed, EventOpened, Note, Record
@@ -87,7 +87,7 @@ class Judge:
         self._asked, self._unjudged = now, {}
         idle, kernel = self.memory.idle if self.flight_s > WARM_S else (), self.chain.kernel
         for number, slot in enumerate(self.chain.slots):
-            label = label_of(slot.monitor.name)
+            label = slot.monitor.label
             if missing := streams.missing(slot.monitor.signals):
                 self._unjudged[label] = f"no {LABELS[missing]}"
             elif number in idle and (reasons := unjudged_s(kernel.account(self.memory.memory, number))):

@@ -12,12 +12,10 @@ import math
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import Any
 
 import numpy as np
 
-from detector.alerts import label_of
 from detector.judging import Judge, unjudged_s
 from detector.session import Session
 from detector.states import State
@@ -38,6 +36,7 @@ STALE_S = 1.5  # without rows for so long, nothing is judged now (our choice)
 HELD = 3.0  # periods that the value of a slow monitor stays on the page (our choice)
 BIN_NS = NS_PER_S // 20  # of vehicle time that one point of a strip stands for (our choice)
 DIGITS = 5
+OFF = "off"  # what the page says of a vehicle beside the stages: its session cannot do its work, or its link is lost
 BACK_S = 20.0  # that the strips show
 TRACK_POINTS = 120  # of a track, one a second: the last two minutes (our choice)
 PLACES = (Signal.POSITION, Signal.COORDINATES)
@@ -59,17 +58,6 @@ _IDLE = {
 }
 
 
-class Level(StrEnum):
-    """What the page says of a vehicle at first sight."""
-
-    FAULT = "fault"
-    INSPECT = "inspect"  # it was declared in an earlier flight, and nobody has acknowledged it
-    SUSPECTED = "suspected"
-    QUIET = "quiet"  # flight is judged, and nothing was found
-    NOT_JUDGED = "not judged"
-    OFF = "off"  # the session cannot do its work, or its link is lost
-
-
 def about(vehicle: int, profile: str, judge: Judge | None) -> Json:
     """What a vehicle is judged by; without a chain, no monitors. margin: of the thesis rule's signal [rad/s].
 
@@ -85,8 +73,8 @@ def about(vehicle: int, profile: str, judge: Judge | None) -> Json:
     for slot in judge.chain.slots:
         monitor = slot.monitor
         margin = monitor.reference if monitor.name == "fsd" else None
-        told = {"label": label_of(monitor.name), "axis": monitor.axis or "", "margin": margin}
-        named["slots"].append(_picked(monitor, "name", "unit") | _picked(slot, "threshold", "decides") | told)
+        told = {"axis": monitor.axis or "", "margin": margin}
+        named["slots"].append(_picked(monitor, "name", "label", "unit") | _picked(slot, "threshold", "decides") | told)
     return named
 
 
@@ -244,20 +232,18 @@ def _shown(values: FloatArray) -> list[float]:
 
 def _verdict(session: Session, judging: bool, nearest: str = "") -> Json:
     """Level, sentence, what to do and suspected rotor. judging: whether any monitor judges now. nearest: of them."""
-    held, state = session.diagnosis, session.state
-    level, sentence = Level.NOT_JUDGED, held_sentence(held)
-    if held.stage in (Stage.FAULT, Stage.INSPECT):
-        level = Level(held.stage.value)
+    held, state, level = session.diagnosis, session.state, str(Stage.NOT_JUDGED)
+    if held.stage in (Stage.FAULT, Stage.INSPECT) or (judging and state is State.MONITORING):
+        level = held.stage
     elif state in (State.LOST, State.FAULTED):
-        level = Level.OFF
-    elif judging and state is State.MONITORING and held.stage in (Stage.QUIET, Stage.SUSPECTED):
-        level = Level(held.stage.value)
-    if level is Level.QUIET:
+        level = OFF
+    sentence = held_sentence(held)
+    if level == Stage.QUIET:
         sentence = nearest or "No fault found."
-    elif level in (Level.NOT_JUDGED, Level.OFF):
+    elif level in (Stage.NOT_JUDGED, OFF):
         reason = session.reason.removeprefix("monitoring: ").removeprefix("not judged: ")
         sentence = _IDLE[state].format(held.reason if reason == "monitoring" else reason)
-    alarm = level in (Level.FAULT, Level.INSPECT, Level.SUSPECTED)
+    alarm = level in (Stage.FAULT, Stage.INSPECT, Stage.SUSPECTED)
     told = {"advice": held_advice(held) if alarm else "", "rotor": held.rotor if alarm else None}
     return {"level": level, "sentence": sentence} | told
 
@@ -268,7 +254,7 @@ def _nearest(judge: Judge, slots: Sequence[Json]) -> str:
     if not ratios:
         return ""
     ratio, monitor = max(ratios, key=lambda pair: pair[0])
-    name = f"{label_of(monitor.name)} {monitor.axis or ''}".rstrip()
+    name = f"{monitor.label} {monitor.axis or ''}".rstrip()
     return f"{len(pairs)} of {len(slots)} monitors judge; nearest to its threshold is {name}, with {100 * ratio:.0f} %."
 
 

@@ -1,6 +1,7 @@
 """A small ground station (edge): it receives one link, keeps what a pilot would see, and may judge a vehicle itself."""
 
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 from mavdiag.baseline import Baseline
@@ -8,7 +9,7 @@ from mavdiag.chain import Chain, ChainState, chain_of
 from mavdiag.decision.diagnosis import Change, Diagnosis
 from mavdiag.errors import BaselineError
 from mavdiag.judging import why_not
-from mavdiag.kernel import Gauge, Piece
+from mavdiag.kernel import Gauge, Piece, Slot
 from mavdiag.link.codec import Decoder, Encoder, Frame
 from mavdiag.link.link import Link
 from mavdiag.link.messages import Autopilot, Component, MavType, MessageId
@@ -79,14 +80,12 @@ class LiveJudge:
         return self._state.diagnosis
 
     @property
-    def gauges(self) -> tuple[tuple[str, Axis | None, Gauge | None, str], ...]:
-        """Of each slot: monitor, axis, its latest value, and why it does not judge (empty if it does)."""
-        found = []
+    def gauges(self) -> Iterator[tuple[Slot, Gauge | None, str]]:
+        """Each slot, its latest value, and why it does not judge (empty if it does)."""
         for slot, account in zip(self.chain.slots, self._state.accounts, strict=True):
             gauge = self._gauges.get(slot.key)
             judges = gauge is not None and gauge.valid
-            found.append((*slot.key, gauge, "" if judges else why_not(self.chain, account) or "warming up"))
-        return tuple(found)
+            yield slot, gauge, "" if judges else why_not(self.chain, account) or "warming up"
 
 
 @dataclass(slots=True)

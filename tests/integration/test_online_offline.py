@@ -30,7 +30,7 @@ from virtual_link import heard
 from mavdiag.as_json import event_json
 from mavdiag.commands.shim import Passage
 from mavdiag.decision.diagnosis import Change
-from mavdiag.demo.subprocesses import Child, child
+from mavdiag.demo.subprocesses import Child
 from mavdiag.errors import LinkError
 from mavdiag.judging import judge, judge_in_full
 from mavdiag.link.datagrams import as_columns
@@ -78,17 +78,16 @@ def test_the_journal_and_the_scan_of_the_recording_agree(tmp_path: Path) -> None
     baseline.save(file)
     with (
         open_endpoint("udpin:127.0.0.1:0") as endpoint,
-        child(
+        Child(
             "detector", "--connect", "udpin:127.0.0.1:0", "--baseline", str(file), "--journal", str(journal)
         ) as detector,
     ):
         bound = detector.wait_for("ready", PATIENCE_S).split(",")[0].split()[-1].replace("udpin", "udpout")
         own = endpoint.address.replace("udpin", "udpout")
         fault = ("--fault", "F2/SV2", "--rotor", "3", "--onset", f"{ONSET_S:g}", "--duration", f"{SECONDS:g}")
-        with child("sitl_plant", "run", "--out", bound, "--out", own, "--seed", "9", *fault) as plant:
+        with Child("sitl_plant", "run", "--out", bound, "--out", own, "--seed", "9", *fault) as plant:
             plant.wait_for("flies", PATIENCE_S)
             log.write_bytes(logged(endpoint, plant))
-            plant.finish(PATIENCE_S)
         detector.end()
     lines = [json.loads(line) for line in journal.read_text().splitlines()]
     live = in_order([line for line in lines if line.get("kind") == "event"])
@@ -227,13 +226,13 @@ def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 
 @pytest.mark.realtime
 def test_b15_a_process_that_died_is_not_waited_for_and_a_timeout_is_of_the_whole_wait(module: str) -> None:
-    with child(module, "0") as one:
+    with Child(module, "0") as one:
         assert one.wait_for("last", PATIENCE_S) == "last line"
         begun = time.monotonic()
         with pytest.raises(LinkError, match="made_program stopped: last line"):
             one.wait_for("ready", 10 * PATIENCE_S)
         assert time.monotonic() - begun < PATIENCE_S
-    with child(module, "1000") as one:
+    with Child(module, "1000") as one:
         one.wait_for("first", PATIENCE_S)
         with pytest.raises(LinkError, match="did not get ready: tick"):
             one.wait_for("ready", 1.0)

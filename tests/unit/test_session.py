@@ -20,7 +20,6 @@ from made_baselines import trim
 from made_session import Story, baseline_for, outcome_of
 from web_page import wait_for
 
-from detector.alerts import label_of
 from detector.check import plan
 from detector.config import SessionSettings, Settings
 from detector.fitting import ProcessFitter
@@ -41,6 +40,7 @@ from mavdiag.link.messages import Autopilot, MavCmd, MavResult, MessageId, Sever
 from mavdiag.link.profiles import LAST_RESORT, PROFILES
 from mavdiag.link.vehicles import Ack, Received
 from mavdiag.link.wants import Want, wants_of
+from mavdiag.monitors.rotor_trim import RotorTrim
 from mavdiag.telemetry import FloatArray, Instant, Series, Signal, Telemetry
 from mavdiag.units import G
 
@@ -171,7 +171,7 @@ def test_l2_what_the_optional_streams_lack_is_told_and_hinders_nothing() -> None
     story = Story(SessionSpec(PROFILES["ardupilot"], baseline_for("ardupilot", names=("fsd", "rotor_trim"))))
     story.fly(12.0)
     assert story.at(State.MONITORING)
-    trim = label_of("rotor_trim")
+    trim = RotorTrim.label
     assert story.state.reason == f"monitoring; {trim} not judged: no actuator outputs"
     assert f"PROP monitoring; {trim}: no actuator outputs" in story.texts
     notes = [effect.text for _, effect in story.log if isinstance(effect, Note)]
