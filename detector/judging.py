@@ -186,7 +186,7 @@ def records_of(output: ChainOutput, whose: str) -> tuple[Record, ...]:
 def beginning(baseline: Baseline, chain: Chain, settings: SessionSettings) -> tuple[list[Note], list[Notice]]:
     """What is recorded and said as judging begins: monitors that the settings silence, doubts about the rotor layout,
     and names in `suspect` that no monitor has."""
-    lost = rescaled(baseline, settings.threshold_scale).not_judgeable[len(baseline.not_judgeable) :]
+    lost = chain.baseline.not_judgeable[len(baseline.not_judgeable) :]
     known = frozenset[str]().union(*(_names(slot) for slot in chain.slots))
     notes = [Note(f"{refusal.monitor} not judged: {refusal.reason}") for refusal in lost]
     notes += [Note(f"suspect: the baseline has no monitor {name!r}") for name in settings.suspect if name not in known]

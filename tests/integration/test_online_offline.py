@@ -225,6 +225,15 @@ def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 
 
 @pytest.mark.realtime
+def test_the_demo_ends_with_one_json_line_and_writes_the_report_that_was_asked_for(tmp_path: Path) -> None:
+    file, page = tmp_path / "b.json", tmp_path / "report.html"
+    taught(range(100, 106), 25.0, "qdrone2").save(file)
+    command = [sys.executable, "-m", "mavdiag", "demo", "--json", "--duration", "10", "--baseline", file]
+    run = subprocess.run([*command, "--report", page], stdout=subprocess.PIPE, check=False)
+    assert (json.loads(run.stdout)["onset_s"], page.exists()) == (3.0, True)
+
+
+@pytest.mark.realtime
 def test_b15_a_process_that_died_is_not_waited_for_and_a_timeout_is_of_the_whole_wait(module: str) -> None:
     with Child(module, "0") as one:
         assert one.wait_for("last", PATIENCE_S) == "last line"
