@@ -19,6 +19,7 @@ from typing import BinaryIO, TypeAlias
 from detector.fleet import Vehicle
 from detector.hooks import Courier
 from detector.judging import Judge
+from detector.process import own_environ
 from mavdiag.baseline import Baseline, dump
 from mavdiag.errors import UsageError, check_installed
 from mavdiag.judging import MIN_JUDGED_S
@@ -136,11 +137,11 @@ class Flights(Courier[_Job]):
         judged_by = self._folder / f"{baseline.digest.rpartition(':')[2][:16]}.json"
         options = ("--baseline", str(judged_by), "--vehicle", str(sysid), "--airframe", airframe)
         command = ["nice", sys.executable, "-m", "mavdiag", "history", "add", str(path), *options, "--no-cache"]
-        run = partial(subprocess.run, capture_output=True, text=True, timeout=ADD_S, check=False)
+        run = partial(subprocess.run, capture_output=True, text=True, timeout=ADD_S, env=own_environ())
         try:
             if not judged_by.exists():
                 write_atomically(judged_by, dump(baseline))
-            done = run([*command, "--jobs", "1", "--database", self._database], start_new_session=True)
+            done = run([*command, "--jobs", "1", "--database", self._database], start_new_session=True, check=False)
         except (subprocess.SubprocessError, UsageError) as error:
             raise OSError(str(error)) from error
         if done.returncode:

@@ -159,7 +159,8 @@ def watching(baseline: Baseline, flights: Flights, *vehicles: MadeVehicle) -> Be
     return Bench(Settings(connect=UDP_IN, learn=1.0), baseline=baseline, flights=flights, vehicles=list(vehicles))
 
 
-def in_this_process(command: list[str], **_: object) -> SimpleNamespace:
+def in_this_process(command: list[str], **how: Any) -> SimpleNamespace:
+    assert how["env"]["PYTHONSAFEPATH"]  # whatever lies in the present folder
     ran = CliRunner().invoke(app, command[command.index("mavdiag") + 1 :])
     said = "" if ran.exception is None else str(ran.exception)
     return SimpleNamespace(returncode=ran.exit_code, stdout=ran.output, stderr=said)
