@@ -126,19 +126,23 @@ class Snapshots:
     """Makes the snapshots of one vehicle, each with what came since the last one."""
 
     def __init__(self) -> None:
-        self._chain: Chain | None = None
+        self._told: tuple[Chain | None, ...] = ()  # the chain that `about` was told of
         self._seen: dict[int, _Seen] = {}  # by number of the slot
         self._accounts: tuple[Account, ...] = ()
         self._rows: Instant | None = None  # when rows came last
 
     def next(
         self, figures: VehicleFigures, session: Session, pieces: Sequence[Piece], track: Track, now: Instant
-    ) -> Json:
-        """A vehicle now. pieces: what its chain gave since the last snapshot."""
-        judge = session.judge
+    ) -> tuple[Json | None, Json]:
+        """`about` a vehicle, None where that is as before, and the vehicle now.
+
+        pieces: what its chain gave since the last snapshot.
+        """
+        judge, told = session.judge, None
         chain = None if judge is None else judge.chain
-        if chain is not self._chain:
-            self._chain, self._seen, self._accounts, self._rows = chain, {}, (), None
+        if self._told != (chain,):
+            self._told, self._seen, self._accounts, self._rows = (chain,), {}, (), None
+            told = about(figures.vehicle, session.spec.profile.name, judge)
         slots, strips, nearest, now_ns = list[Json](), list[Json](), "", None
         since_ns = session.diagnosis.declared_ns
         if judge is not None:
@@ -150,7 +154,7 @@ class Snapshots:
         known = (seen.rises for seen in self._seen.values() if seen.rises and seen.value is not None)
         rates = [(LABELS[Signal(name)], round(hertz, 1)) for name, hertz in figures.rates]
         link = {"silent_s": round(now - session.latest, 2), "rates": rates} | _picked(figures.timesync, "round_trip_s")
-        return {
+        return told, {
             **_picked(figures, "vehicle", "events"),
             **_picked(session, "state", "reason"),
             **_verdict(session, any(slot["value"] is not None for slot in slots), nearest),

@@ -155,7 +155,7 @@ def test_a_flight_from_waiting_to_a_fault_and_to_the_ground() -> None:
                 story.fly(0.1, **how)
                 pieces += story.session.judge.pieces if story.session.judge is not None else ()
             figures = VehicleFigures(1, story.session.state, 10, 0, 1.0)
-            shown = snapshots.next(figures, story.session, pieces, Track(), story.now)
+            _, shown = snapshots.next(figures, story.session, pieces, Track(), story.now)
         return dict(json.loads(json_line(shown)))
 
     first = after(0.6)
