@@ -35,7 +35,6 @@ from mavdiag.storage import begins, check_apart, check_writable, leave_room
 from mavdiag.units import NS_PER_S, NS_PER_US
 
 MB = 1_000_000
-FRAME_BYTES = 8  # the shortest MAVLink frame; what is shorter is no frame
 _REASONS = {errno.ENXIO: "nobody reads this pipe", errno.EWOULDBLOCK: "another program writes it"}
 _ALERTS = (Stage.SUSPECTED, Stage.FAULT, Stage.INSPECT)
 
@@ -239,9 +238,9 @@ class Recorder(Appender):
         super().__init__(path, warn, limit_mb, keep)
         self._record, self._records = tlog_record, list[bytes]()
 
-    def write(self, frames: Iterable[bytes], unix_ns: int) -> None:
-        """Take frames that came at one time; `flush` appends them."""
-        self._records += [self._record(unix_ns // NS_PER_US, frame) for frame in frames if len(frame) >= FRAME_BYTES]
+    def write(self, frames: Iterable[tuple[bytes, int]], epoch_ns: int) -> None:
+        """Take frames, each with its time of arrival [ns]; `flush` appends them. epoch_ns: makes it unix time."""
+        self._records += [self._record((epoch_ns + host_ns) // NS_PER_US, frame) for frame, host_ns in frames]
 
     def flush(self) -> None:
         """Append what was taken since the last call; a reader skips what was torn."""
