@@ -32,7 +32,7 @@ class Child(contextlib.AbstractContextManager["Child"]):
     def __init__(self, module: str, *arguments: str) -> None:
         self.module, self._told = module, 0
         self._output = tempfile.TemporaryFile()  # noqa: SIM115  # closed with the block
-        command, null = _command(module, *arguments), subprocess.DEVNULL
+        command, null = [sys.executable, "-m", module, *arguments], subprocess.DEVNULL
         self._process = subprocess.Popen(command, stdin=null, stdout=self._output, stderr=subprocess.STDOUT)
 
     @property
@@ -75,14 +75,10 @@ class Child(contextlib.AbstractContextManager["Child"]):
 
 def run_child(module: str, *arguments: str) -> None:
     """Run a process to its end. Raises LinkError with its last line if it fails."""
-    command, both = _command(module, *arguments), subprocess.STDOUT
-    done = subprocess.run(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=both, check=False)
+    command, pipe = [sys.executable, "-m", module, *arguments], subprocess.PIPE
+    done = subprocess.run(command, stdin=subprocess.DEVNULL, stdout=pipe, stderr=subprocess.STDOUT, check=False)
     if done.returncode:
         raise LinkError(f"{module} failed: {_last(done.stdout.decode(errors='replace').splitlines())}")
-
-
-def _command(module: str, *arguments: str) -> list[str]:
-    return [sys.executable, "-m", module, *arguments]
 
 
 def _last(lines: Sequence[str]) -> str:
