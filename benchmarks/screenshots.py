@@ -21,7 +21,7 @@ from made_session import baseline_for
 from made_vehicle import record
 from web_page import browser, give, serving, wait_for
 
-from detector.web.snapshot import Level
+from mavdiag.decision.diagnosis import Stage
 
 LOOKS = {"1280": (1280, "light", "screen"), "400": (400, "light", "screen"), "dark": (1280, "dark", "screen")}
 TALLEST = 12_000  # pixels of a picture
@@ -86,7 +86,7 @@ def shoot_live(driver: Any, folder: Path) -> None:
     for count, levels in FLEETS.items():
         lines = (fleet(*range(1, count + 1), levels=levels), *(flown() if count else ()))
         _shoot_live(driver, f"live-{count}", folder, lines)
-    fault = (fleet(1, levels={1: (Level.FAULT, 2)}), *flown(), now(1, 400, Level.FAULT, 2, FOUND))
+    fault = (fleet(1, levels={1: (Stage.FAULT, 2)}), *flown(), now(1, 400, Stage.FAULT, 2, FOUND))
     _shoot_live(driver, "live-fault", folder, fault)
 
 

@@ -124,7 +124,7 @@ def _serve(settings: Settings, *, reset_stamp: bool) -> None:
             sizes = settings.record_mb, settings.record_keep
             recorder = enter(closing(Recorder(settings.record, _say, *sizes)))
         hooks = [Hook(address, _say) for address in settings.hook]
-        stack.callback(close_all, couriers := list[Courier](hooks))
+        stack.callback(close_all, couriers := list[Courier[Any]](hooks))
         if settings.history is not None:
             flights = Flights(settings.history, settings.flights or Path(), _say)
             couriers.append(flights)

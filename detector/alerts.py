@@ -17,7 +17,6 @@ from mavdiag.decision.diagnosis import Diagnosis, Stage
 from mavdiag.decision.words import finding_words, motors_words
 from mavdiag.link.codec import TEXT_BYTES
 from mavdiag.link.messages import Severity
-from mavdiag.monitors import BY_NAME
 from mavdiag.monitors.base import FaultKind
 from mavdiag.telemetry import Axis, Instant
 
@@ -109,11 +108,6 @@ class Notice:
     def effect(self) -> SendText:
         """The text as it is sent."""
         return SendText(self.kind.value.severity, self.text)
-
-
-def label_of(monitor: str) -> str:
-    """How a text calls a monitor: by its label, of at most 10 characters."""
-    return BY_NAME[monitor].label if monitor in BY_NAME else monitor[:10]
 
 
 class Telling:

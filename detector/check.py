@@ -47,7 +47,7 @@ def plan(
     for sysid, known in own.items():
         named = settings.vehicles.get(sysid) if isinstance(sysid, int) else None
         source = named.baseline if named else settings.baselines or "what was learned earlier"
-        yield f"vehicle {sysid:<3}by {source}: {_summary(known, settings)}"
+        yield f"vehicle {sysid:<2} by {source}: {_summary(known, settings)}"
     if settings.threshold_scale != 1.0:
         yield f"thresholds times {settings.threshold_scale:g}"
     for rule in parse_rules(settings.on_fault):

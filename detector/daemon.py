@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
-from functools import partial
+from functools import cache, partial
 from typing import TYPE_CHECKING
 
 from detector.component import HEALTH, Handled, Requests, Sender
@@ -23,7 +23,7 @@ from detector.journal import Journal, Recorder, Reporter, When
 from detector.notify import Notifier
 from detector.relay import Relay
 from detector.rules import parse_rules
-from detector.values import DaemonFigures, Effect, EventOpened, Learn, LinkFigures, Note, SessionSpec, is_working
+from detector.values import DaemonFigures, Effect, Learn, LinkFigures, Note, SessionSpec, is_working
 from mavdiag import __version__
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import Baseline
@@ -122,7 +122,7 @@ class Daemon:
         writers = [file.write for file in (journal, web, *hooks) if file]
         self._reporter = Reporter(writers, host.say, self._when, settings.save)
         self._inspections = inspections or Inspections(None, host.say)
-        self._senders: dict[int, Sender] = {}
+        self._sender = cache(partial(Sender, signing=self._signing))
         self._requests = Requests(self.fleet, settings.keep_rates, self._sender, self._signing)
         self._started = self._beat_at = self._tidy_at = self._now()
         self._tidied = 0  # place up to which memory is in order; 0 if it is all
@@ -244,11 +244,6 @@ class Daemon:
         for file in self._files.values():
             file.flush()
         self._inspections.flush(now)
-
-    def _sender(self, vehicle: int) -> Sender:
-        if vehicle not in self._senders:
-            self._senders[vehicle] = Sender(vehicle, self._signing)
-        return self._senders[vehicle]
 
     def _knows(self, sysid: int) -> bool:
         """Whether the uid is known that a baseline may be named by; it is asked for after each start of the vehicle."""
@@ -385,8 +380,6 @@ class Daemon:
                 baseline = self.fleet.vehicles[sysid].session.baseline
                 judged_by = ("", 0) if baseline is None else (baseline.digest, baseline.propellers)
                 self._inspections.take(sysid, effect, *judged_by, self._host.utc().isoformat(timespec="seconds"))
-            case EventOpened(event) if self._metrics is not None:
-                self._metrics.count_event(sysid, event.monitor)
         self._reporter.record(sysid, effect)
 
     def _summary(self) -> str:

@@ -1,16 +1,15 @@
 """Making a baseline beside the daemon (edge): in a process of its own, so that the receive loop never stalls."""
 
-import multiprocessing
 import os
-import signal
+import pickle
+import subprocess
+import sys
 import threading
 import time
 from concurrent.futures import Future, ThreadPoolExecutor
 from datetime import UTC, datetime
-from multiprocessing import resource_tracker
-from multiprocessing.connection import Connection
-from multiprocessing.process import BaseProcess
 
+from detector.process import begun
 from detector.values import FitOutcome, Learn
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import sealed
@@ -43,13 +42,6 @@ def fit_baseline(vehicle: int, airframe: Airframe, flight: Learn, accept: bool) 
     return sealed(baseline.model_copy(update={"provenance": provenance}))
 
 
-def _work(link: Connection) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to both processes, but is the daemon's business
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
-    os.nice(NICENESS)
-    link.send(fit_baseline(*link.recv()))
-
-
 class ProcessFitter:
     """Fits one job after the other, each in a process of its own. A thread starts it and hands the flight over.
 
@@ -60,8 +52,7 @@ class ProcessFitter:
         self._fits: list[tuple[int, Future[FitOutcome]]] = []  # by system id, in order
         self._lock = threading.Lock()  # held while a process starts
         self._closed = False
-        self._process: BaseProcess | None = None  # at work, and since when (monotonic clock)
-        self._since_s = 0.0
+        self._process: subprocess.Popen[bytes] | None = None  # at work
         self._thread = ThreadPoolExecutor(1, "fitting")
         self._thread.submit(int)  # it begins with the daemon: to start a thread in flight may fail
 
@@ -70,9 +61,7 @@ class ProcessFitter:
         self._fits.append((vehicle, self._thread.submit(self._fit, (vehicle, airframe, flight, accept))))
 
     def poll(self) -> list[tuple[int, FitOutcome]]:
-        """Outcomes since the last call, by system id. A job that takes too long has failed."""
-        if (process := self._process) is not None and time.monotonic() - self._since_s > LIMIT_S:
-            process.terminate()
+        """Outcomes since the last call, by system id."""
         done = [one for one in self._fits if one[1].done()]
         self._fits = self._fits[len(done) :]
         return [(vehicle, _outcome(fit)) for vehicle, fit in done]
@@ -82,34 +71,30 @@ class ProcessFitter:
         self._thread.shutdown(wait=False, cancel_futures=True)
         with self._lock:
             self._closed = True
-            if (process := self._process) is not None:
-                process.terminate()
+            if self._process is not None:
+                self._process.kill()
 
     def _fit(self, job: tuple[int, Airframe, Learn, bool]) -> FitOutcome:
-        context = multiprocessing.get_context("spawn")
-        link, end = context.Pipe()
-        process = context.Process(target=_work, args=(end,), daemon=True)
-        # The process inherits the thread's block, so that Ctrl-C cannot end it before it ignores that. The tracker,
-        # which multiprocessing starts before the first process, would lift the block again.
-        resource_tracker.ensure_running()
-        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-        with link:
-            with end, self._lock:
-                if self._closed:
-                    return "the daemon stops"
-                process.start()
-                self._process, self._since_s = process, time.monotonic()
+        with self._lock:
+            if self._closed:
+                return "the daemon stops"
+            self._process = process = begun("detector.fitting")
+        with process:
             try:
-                link.send(job)
-                outcome: FitOutcome = link.recv()
-                return outcome
+                answer, _ = process.communicate(pickle.dumps(job), LIMIT_S)
             finally:
                 self._process = None
-                process.terminate()
-                process.join()
+                process.kill()
+        outcome: FitOutcome = pickle.loads(answer)
+        return outcome
 
 
-def _outcome(fit: "Future[FitOutcome]") -> FitOutcome:
+def _outcome(fit: Future[FitOutcome]) -> FitOutcome:
     if (error := fit.exception()) is not None:
         return f"the fitting process failed or took too long ({error!r}); fly on to try again"
     return fit.result()
+
+
+if __name__ == "__main__":
+    os.nice(NICENESS)
+    sys.stdout.buffer.write(pickle.dumps(fit_baseline(*pickle.load(sys.stdin.buffer))))

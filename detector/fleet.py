@@ -7,7 +7,7 @@ data (`due_turns`): nothing is lost, and verdicts come later, which is told.
 """
 
 import traceback
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import zip_longest
@@ -61,7 +61,7 @@ class Vehicle:
         self.first_ns: int | None = None  # when the first gyro sample came that was not judged then (host)
         self.outcome: FitOutcome | None = None  # of its last `Learn`, until the session gets it
         self.sticks: dict[tuple[int, str], int] = {}  # told by ground stations behind, until the session gets them
-        self.events = 0  # that were opened, so far
+        self.alarms = Counter[str]()  # that were opened, by monitor
         self.timesync = Timesync()  # asked and answered where we may negotiate
 
     def wait(self, gyro: Series | None, now_ns: int, looks: int) -> float | None:
@@ -213,7 +213,7 @@ class Fleet:
             received = replace(received, sticks={**received.sticks, **vehicle.sticks})
         vehicle.outcome, vehicle.sticks = None, {}
         effects = session.step(received, now, outcome)
-        vehicle.events += sum(isinstance(effect, EventOpened) for effect in effects)
+        vehicle.alarms.update(effect.event.monitor for effect in effects if isinstance(effect, EventOpened))
         if session.spec.settings.negotiate:
             vehicle.timesync, messages = exchanged(vehicle.timesync, received.frames, now.ns, alive=received.alive)
             effects = (*effects, *messages)
@@ -248,7 +248,7 @@ class Fleet:
             received=count.received if count else 0,
             lost=count.lost if count else 0,
             judged_s=judge.judged_s if judge else 0.0,
-            events=vehicle.events,
+            alarms=vehicle.alarms.copy(),
             flight_s=judge.flight_s if judge else 0.0,
             rates=tuple((signal.value, session.streams.meters[signal].rate_hz) for signal in METERED),
             ratios=tuple((slot.monitor.name, slot.monitor.axis or "", ratio) for slot, ratio in ratios),

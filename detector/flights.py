@@ -5,7 +5,6 @@ history add`, a process of its own that gives way to the daemon: the record is t
 the recording is deleted. One that could not be added stays in the folder, and is tried again at the next start.
 """
 
-import json
 import re
 import subprocess
 import sys
@@ -20,6 +19,7 @@ from typing import BinaryIO, TypeAlias
 from detector.fleet import Vehicle
 from detector.hooks import Courier
 from detector.judging import Judge
+from detector.process import own_environ
 from mavdiag.baseline import Baseline, dump
 from mavdiag.errors import UsageError, check_installed
 from mavdiag.judging import MIN_JUDGED_S
@@ -29,6 +29,7 @@ from mavdiag.telemetry import Instant
 from mavdiag.units import NS_PER_S, NS_PER_US
 
 Passed: TypeAlias = Iterable[tuple[bytes, int]]  # frames with their time of arrival [ns]
+_Job: TypeAlias = tuple[Path, int, Baseline]  # a recording, the system id of its vehicle, and what judges it
 ADD_S = 600.0  # that one flight may take to be judged (our choice: an hour at 1 kHz on a small computer)
 GONE_S = 60.0  # without a frame a flight is over (our choice: a radio is lost for less, a battery's change takes more)
 MAVLINK_2 = 0xFD  # first byte of a frame; its system id is the sixth, of MAVLink 1 the fourth
@@ -42,7 +43,7 @@ class _Flight:
     file: BinaryIO | None = None  # None where it could not be opened
 
 
-class Flights(Courier):
+class Flights(Courier[_Job]):
     """Records the flights of all vehicles. folder: of the recordings. warn: as in `Courier`.
 
     Raises UsageError if the folder or the history's database cannot be used.
@@ -56,7 +57,6 @@ class Flights(Courier):
             raise UsageError(f"{folder}: {error.strerror}; name another folder of flights") from error
         self._database, self._folder = database, folder
         self._open: dict[int, _Flight] = {}
-        self._baselines: dict[str, Baseline] = {}  # by digest, for the thread
         self._left = sorted(p for p in folder.iterdir() if re.fullmatch(r"\d{1,3}-\d{8}T\d{6}\.tlog", p.name))
         super().__init__("history", self._add, warn)
 
@@ -93,7 +93,7 @@ class Flights(Courier):
             sysid = int(path.name.partition("-")[0])
             if (baseline := baseline_of(sysid)) is not None:
                 self._left.remove(path)
-                self._hand_over(path, sysid, baseline)
+                self.put((path, sysid, baseline))
 
     def _append(self, passed: Passed, epoch_ns: int) -> None:
         records: dict[int, list[bytes]] = {sysid: [] for sysid in self._open}
@@ -120,12 +120,7 @@ class Flights(Courier):
             if not flew:
                 flight.path.unlink(missing_ok=True)
         if flew:
-            self._hand_over(flight.path, sysid, flight.judges[0].baseline)
-
-    def _hand_over(self, path: Path, sysid: int, baseline: Baseline) -> None:
-        self._baselines[baseline.digest] = baseline
-        name = baseline.airframe.name + ("" if baseline.airframe.scope == "airframe" else f" {sysid}")
-        self.put(json.dumps([str(path), sysid, baseline.digest, name]).encode())
+            self.put((flight.path, sysid, flight.judges[0].baseline))
 
     @contextmanager
     def _telling(self, path: Path) -> Iterator[None]:
@@ -135,19 +130,20 @@ class Flights(Courier):
         except OSError as error:
             self._lose(f"{path}: {error.strerror}")
 
-    def _add(self, line: bytes) -> None:
+    def _add(self, job: _Job) -> None:
         """On the thread. Raises OSError, with what the command says, if the flight is not added."""
-        path, sysid, digest, airframe = json.loads(line)
-        judged_by = self._folder / f"{digest.rpartition(':')[2][:16]}.json"
+        path, sysid, baseline = job
+        airframe = baseline.airframe.name + ("" if baseline.airframe.scope == "airframe" else f" {sysid}")
+        judged_by = self._folder / f"{baseline.digest.rpartition(':')[2][:16]}.json"
         options = ("--baseline", str(judged_by), "--vehicle", str(sysid), "--airframe", airframe)
-        command = ["nice", sys.executable, "-m", "mavdiag", "history", "add", path, *options, "--no-cache"]
-        run = partial(subprocess.run, capture_output=True, text=True, timeout=ADD_S, check=False)
+        command = ["nice", sys.executable, "-m", "mavdiag", "history", "add", str(path), *options, "--no-cache"]
+        run = partial(subprocess.run, capture_output=True, text=True, timeout=ADD_S, env=own_environ())
         try:
             if not judged_by.exists():
-                write_atomically(judged_by, dump(self._baselines[digest]))
-            done = run([*command, "--jobs", "1", "--database", self._database], start_new_session=True)
+                write_atomically(judged_by, dump(baseline))
+            done = run([*command, "--jobs", "1", "--database", self._database], start_new_session=True, check=False)
         except (subprocess.SubprocessError, UsageError) as error:
             raise OSError(str(error)) from error
         if done.returncode:
             raise OSError(" ".join((done.stderr or done.stdout).splitlines()[-1:]))
-        Path(path).unlink()
+        path.unlink()

@@ -15,7 +15,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable
-from typing import TypeAlias
+from typing import Any, Generic, TypeVar
 from urllib.parse import urlsplit
 
 from mavdiag.errors import UsageError, check_installed
@@ -26,10 +26,10 @@ ANSWER_S, RUN_S = 5.0, 10.0  # that one try may take (our choice)
 STOP_S = 3.0  # in which the daemon's end waits for lines that were not delivered (our choice)
 MQTT_PORT = 1883
 
-Deliver: TypeAlias = Callable[[bytes], object]  # raises OSError or ValueError if the other side did not take it
+T = TypeVar("T")
 
 
-def parse_hook(text: str) -> Deliver:
+def parse_hook(text: str) -> Callable[[bytes], object]:
     """Say how a line is delivered to a hook. Raises UsageError for a malformed one, or a program that is not there."""
     scheme, _, rest = text.partition(":")
     program, address = (rest, "") if scheme == "exec" else ("", text)
@@ -93,12 +93,15 @@ def _publish(host: str, port: int, topic: str, line: bytes) -> None:
     client.disconnect()
 
 
-class Courier:
-    """Delivers lines from a thread of its own. name: in messages. warn: told when delivery fails, and works again."""
+class Courier(Generic[T]):
+    """Delivers lines, or jobs, from a thread of its own. name: in messages.
 
-    def __init__(self, name: str, deliver: Deliver, warn: Callable[[str], None]) -> None:
+    deliver: raises OSError or ValueError if the other side did not take it. warn: told when that fails, or works again.
+    """
+
+    def __init__(self, name: str, deliver: Callable[[T], object], warn: Callable[[str], None]) -> None:
         self.name, self._deliver, self._warn = name, deliver, warn
-        self._lines: queue.Queue[bytes] = queue.Queue(QUEUED)
+        self._lines: queue.Queue[T] = queue.Queue(QUEUED)
         self._news: deque[str] = deque(maxlen=QUEUED)
         self._failing = False
         self._stopping = threading.Event()
@@ -106,7 +109,7 @@ class Courier:
         self._thread = threading.Thread(target=self._work, name=self.name, daemon=True)
         self._thread.start()
 
-    def put(self, line: bytes) -> None:
+    def put(self, line: T) -> None:
         """Queue a line."""
         try:
             self._lines.put_nowait(line)
@@ -139,7 +142,7 @@ class Courier:
             self._try(line)
             self._lines.task_done()
 
-    def _try(self, line: bytes) -> None:
+    def _try(self, line: T) -> None:
         for number in range(TRIES):
             try:
                 self._deliver(line)
@@ -161,14 +164,14 @@ class Courier:
         self._failing = True
 
 
-def close_all(couriers: Iterable[Courier]) -> None:
+def close_all(couriers: Iterable[Courier[Any]]) -> None:
     """Deliver what waits with all of them if that takes no longer than STOP_S together; the rest is lost."""
     deadline = time.monotonic() + STOP_S
     for courier in couriers:
         courier.close(deadline)
 
 
-class Hook(Courier):
+class Hook(Courier[bytes]):
     """Takes lines as a journal does, and delivers those about alerts. Raises UsageError as `parse_hook`."""
 
     def __init__(self, text: str, warn: Callable[[str], None]) -> None:

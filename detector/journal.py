@@ -35,7 +35,6 @@ from mavdiag.storage import begins, check_apart, check_writable, leave_room
 from mavdiag.units import NS_PER_S, NS_PER_US
 
 MB = 1_000_000
-FRAME_BYTES = 8  # the shortest MAVLink frame; what is shorter is no frame
 _REASONS = {errno.ENXIO: "nobody reads this pipe", errno.EWOULDBLOCK: "another program writes it"}
 _ALERTS = (Stage.SUSPECTED, Stage.FAULT, Stage.INSPECT)
 
@@ -112,31 +111,29 @@ def older(path: Path, number: int) -> Path:
 class Appender:
     """A file that is appended to, each entry whole at once. It has one writer; a pipe that is full loses entries.
 
-    leaves_room: whether it is not written where the disk is nearly full.
-    option: the command-line option that names it. warn: called once when writing begins to fail, and once when it works
-    again. limit_mb: size that it does not exceed; None for no limit. keep: how many old ones stay.
-    Raises UsageError if the file cannot be opened.
+    warn: called once when writing begins to fail, and once when it works again. limit_mb: size that it does not exceed;
+    None for no limit. keep: how many old ones stay. Raises UsageError if the file cannot be opened.
     """
 
-    leaves_room = False
+    option: str  # of the command line, that names it
+    after_torn = b""  # goes before an entry if the last one was torn
+    leaves_room = False  # whether it is not written where the disk is nearly full
 
-    def __init__(
-        self, path: Path, option: str, warn: Callable[[str], None], limit_mb: float | None = None, keep: int = 0
-    ) -> None:
-        self._path, self._name, self._warn = path, f"{option.removeprefix('--')} {path}", warn
+    def __init__(self, path: Path, warn: Callable[[str], None], limit_mb: float | None = None, keep: int = 0) -> None:
+        self._path, self._name, self._warn = path, f"{self.option.removeprefix('--')} {path}", warn
         self._limit_bytes, self._keep = float("inf") if limit_mb is None else limit_mb * MB, keep
         try:
             self._file = self._open()
         except OSError as error:
             reason = _REASONS.get(error.errno or 0, error.strerror or str(error))
-            raise UsageError(f"{path}: cannot be written ({reason}); choose another {option} file") from error
+            raise UsageError(f"{path}: cannot be written ({reason}); choose another {self.option} file") from error
         self._torn = False  # the last entry was written only in part
         self._failing = 0  # entries in a row that could not be written
         self.lost = 0  # entries that could not be written, so far
 
-    def append(self, data: bytes, after_torn: bytes = b"", entries: int = 1) -> None:
-        """Append an entry, or several, or count them as lost. after_torn: what goes before if the last one was torn."""
-        data = (after_torn if self._torn else b"") + data
+    def append(self, data: bytes, entries: int = 1) -> None:
+        """Append an entry, or several, or count them as lost."""
+        data = (self.after_torn if self._torn else b"") + data
         try:
             if self._regular and self._size > 0 and self._size + len(data) > self._limit_bytes:
                 self._rotate()
@@ -215,13 +212,12 @@ class Appender:
 class Journal(Appender):
     """A file that lines are appended to. `flush` writes alerts through to the disk, once for all lines of a look."""
 
-    def __init__(self, path: Path, warn: Callable[[str], None], limit_mb: float | None = None, keep: int = 0) -> None:
-        super().__init__(path, "--journal", warn, limit_mb, keep)
-        self._due = False
+    option, after_torn = "--journal", b"\n"
+    _due = False
 
     def write(self, text: str, urgent: bool = False) -> None:
         """Append one line. urgent: it is about an alert."""
-        self.append(text.encode() + b"\n", after_torn=b"\n")
+        self.append(text.encode() + b"\n")
         self._due = self._due or urgent
 
     def flush(self) -> None:
@@ -234,17 +230,17 @@ class Journal(Appender):
 class Recorder(Appender):
     """A telemetry log (.tlog) of all frames received."""
 
-    leaves_room = True
+    option, leaves_room = "--record", True
 
     def __init__(self, path: Path, warn: Callable[[str], None], limit_mb: float | None = None, keep: int = 0) -> None:
         from mavdiag.logs.tlog import tlog_record  # only with a recording: it brings the readers of logs
 
-        super().__init__(path, "--record", warn, limit_mb, keep)
+        super().__init__(path, warn, limit_mb, keep)
         self._record, self._records = tlog_record, list[bytes]()
 
-    def write(self, frames: Iterable[bytes], unix_ns: int) -> None:
-        """Take frames that came at one time; `flush` appends them."""
-        self._records += [self._record(unix_ns // NS_PER_US, frame) for frame in frames if len(frame) >= FRAME_BYTES]
+    def write(self, frames: Iterable[tuple[bytes, int]], epoch_ns: int) -> None:
+        """Take frames, each with its time of arrival [ns]; `flush` appends them. epoch_ns: makes it unix time."""
+        self._records += [self._record((epoch_ns + host_ns) // NS_PER_US, frame) for frame, host_ns in frames]
 
     def flush(self) -> None:
         """Append what was taken since the last call; a reader skips what was torn."""

@@ -3,7 +3,7 @@
 from collections.abc import Hashable
 from dataclasses import replace
 
-from detector.alerts import Kind, Notice, label_of
+from detector.alerts import Kind, Notice
 from detector.config import SessionSettings
 from detector.streams import Streams
 from detector.values import EventClosed, EventOpened, Note, Record
@@ -87,7 +87,7 @@ class Judge:
         self._asked, self._unjudged = now, {}
         idle, kernel = self.memory.idle if self.flight_s > WARM_S else (), self.chain.kernel
         for number, slot in enumerate(self.chain.slots):
-            label = label_of(slot.monitor.name)
+            label = slot.monitor.label
             if missing := streams.missing(slot.monitor.signals):
                 self._unjudged[label] = f"no {LABELS[missing]}"
             elif number in idle and (reasons := unjudged_s(kernel.account(self.memory.memory, number))):
@@ -186,7 +186,7 @@ def records_of(output: ChainOutput, whose: str) -> tuple[Record, ...]:
 def beginning(baseline: Baseline, chain: Chain, settings: SessionSettings) -> tuple[list[Note], list[Notice]]:
     """What is recorded and said as judging begins: monitors that the settings silence, doubts about the rotor layout,
     and names in `suspect` that no monitor has."""
-    lost = rescaled(baseline, settings.threshold_scale).not_judgeable[len(baseline.not_judgeable) :]
+    lost = chain.baseline.not_judgeable[len(baseline.not_judgeable) :]
     known = frozenset[str]().union(*(_names(slot) for slot in chain.slots))
     notes = [Note(f"{refusal.monitor} not judged: {refusal.reason}") for refusal in lost]
     notes += [Note(f"suspect: the baseline has no monitor {name!r}") for name in settings.suspect if name not in known]

@@ -5,10 +5,8 @@ so that who begins requests and ends none costs nothing.
 """
 
 import asyncio
-import itertools
 import threading
 import time
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 
 from prometheus_client import CollectorRegistry, Histogram
@@ -63,9 +61,8 @@ class Metrics(Collector):
     """Serves http://HOST:PORT/metrics. Raises LinkError if the port cannot be had."""
 
     def __init__(self, host: str, port: int) -> None:
-        # All figures of a moment, that moment (monotonic clock), and what was counted by then; nothing changes them.
-        self._shown: tuple[DaemonFigures, int, dict[tuple[str, ...], int]] | None = None
-        self._events: Counter[tuple[str, ...]] = Counter()
+        # All figures of a moment, and that moment (monotonic clock); nothing changes them.
+        self._shown: tuple[DaemonFigures, int] | None = None
         registry = CollectorRegistry()
         text = "From the arrival of the first gyro sample that is judged at once to its verdict."
         self._latency = Histogram("mavdiag_verdict_latency_seconds", text, buckets=BOUNDS_S, registry=registry)
@@ -79,11 +76,7 @@ class Metrics(Collector):
 
     def show(self, figures: DaemonFigures, now_ns: int) -> None:
         """Hand all figures over. now_ns: monotonic clock."""
-        self._shown = (figures, now_ns, dict(self._events))
-
-    def count_event(self, vehicle: int, monitor: str) -> None:
-        """One more alarm."""
-        self._events[str(vehicle), monitor] += 1
+        self._shown = (figures, now_ns)
 
     def observe(self, turns: Iterable[Turn]) -> None:
         """Count how long what was judged waited."""
@@ -95,15 +88,12 @@ class Metrics(Collector):
         """All figures, as Prometheus asks for them (from its own thread)."""
         if self._shown is None:
             return
-        figures, at_ns, events = self._shown
-        counts: list[Sample] = [("entries_lost", (name,), count) for name, count in figures.lost_entries]
-        counts += [("frames_refused", (cause,), count) for cause, count in figures.refused]
-        counts += [("events", labels, count) for labels, count in events.items()]
+        figures, at_ns = self._shown
         families: dict[str, GaugeMetricFamily | CounterMetricFamily] = {}
         families |= {name: GaugeMetricFamily(f"mavdiag_{name}", text, labels=of) for name, (text, of) in GAUGES.items()}
         families |= {n: CounterMetricFamily(f"mavdiag_{n}", text, labels=of) for n, (text, of) in COUNTERS.items()}
         age_s = (time.monotonic_ns() - at_ns) / NS_PER_S
-        for name, values, value in itertools.chain(_daemon(figures, age_s), counts):
+        for name, values, value in _daemon(figures, age_s):
             families[name].add_metric(values, value)
         yield from families.values()
 
@@ -115,6 +105,10 @@ def _daemon(figures: DaemonFigures, age_s: float) -> Iterator[Sample]:
     yield "cpu_seconds", (), figures.cpu_s
     yield "datagrams_overflowed", (), figures.links[0].traffic.overflowed
     yield "turn_delay_seconds", (), figures.delay_s
+    for file, count in figures.lost_entries:
+        yield "entries_lost", (file,), count
+    for cause, count in figures.refused:
+        yield "frames_refused", (cause,), count
     for number, link in enumerate(figures.links):
         label = ("vehicle" if number == 0 else f"behind {number} {link.address}",)
         yield "link_connected", label, link.connected
@@ -141,6 +135,8 @@ def _vehicle(vehicle: VehicleFigures) -> Iterator[Sample]:
     yield "judged_seconds", (), vehicle.judged_s
     if vehicle.flight_s > 0:
         yield "judged_share", (), min(1.0, vehicle.judged_s / vehicle.flight_s)
+    for monitor, count in vehicle.alarms.items():
+        yield "events", (monitor,), count
     for monitor, axis, ratio in vehicle.ratios:
         yield "statistic_ratio", (monitor, axis), ratio
     if timesync.round_trip_s is not None:

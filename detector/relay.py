@@ -50,8 +50,7 @@ class Relay:
     def pass_on(self, frames: Sequence[tuple[bytes, int]], epoch_ns: int = 0) -> None:
         """Pass frames, each with its time of arrival [ns], on, and back what comes. epoch_ns: makes it unix time."""
         if self._recorder is not None:
-            for host_ns, group in groupby(frames, itemgetter(1)):
-                self._recorder.write([frame for frame, _ in group], epoch_ns + host_ns)
+            self._recorder.write(frames, epoch_ns)
         for message in packed(frame for frame, _ in frames) if self._behind else ():
             for endpoint in self._behind:
                 endpoint.send(message)

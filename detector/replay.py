@@ -6,6 +6,7 @@ is kept for every 0.2 s. That goes on as fast as it can, while the page plays, s
 
 import time
 from bisect import bisect_right
+from collections import Counter
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -23,11 +24,11 @@ from detector.streams import METERED
 from detector.values import DaemonFigures, EventOpened, SessionSpec, VehicleFigures
 from detector.web.access import Access
 from detector.web.child import ServerProcess, read_token
-from detector.web.snapshot import BACK_S, Level, Snapshots, Track, about, fleet_now
+from detector.web.snapshot import BACK_S, Snapshots, Track, fleet_now
 from mavdiag import commandline
 from mavdiag.as_json import json_line
 from mavdiag.baseline import Baseline
-from mavdiag.chain import Chain, suited, warm
+from mavdiag.chain import suited, warm
 from mavdiag.judging import playable
 from mavdiag.link.profiles import PROFILES
 from mavdiag.link.vehicles import Received
@@ -57,7 +58,7 @@ class Moment:
     now: str
     strips: str
     entries: tuple[str, ...]
-    level: Level
+    level: str
 
 
 def now_of(moments: Sequence[Moment]) -> str:
@@ -79,8 +80,7 @@ class Judged:
         spec = SessionSpec(profile, suited(baseline, log), settings, offset_ns)
         self._session = Session(spec, Instant(self.begin_ns))
         self._steps = in_pieces(log.telemetry, max(1, round(STEP_S / baseline.link.dt_s)))
-        self._snapshots, self._track, self._entries, self._alarms = Snapshots(), Track(), list[str](), 0
-        self._chain: Chain | None = None
+        self._snapshots, self._track, self._entries, self._alarms = Snapshots(), Track(), list[str](), Counter[str]()
         self._at, self._utc = Instant(self.begin_ns), offset_ns / NS_PER_S
         self._reporter = Reporter([lambda text, _: self._entries.append(text)], lambda _: None, self._when, None)
 
@@ -95,25 +95,23 @@ class Judged:
         self._at = max(self._at, Instant(max(ends, default=0)))
         self._track.take(telemetry or Telemetry())
         effects = session.finish() if telemetry is None else session.step(Received(telemetry, alive=True), self._at)
+        self._alarms.update(effect.event.monitor for effect in effects if isinstance(effect, EventOpened))
         for effect in effects:
-            self._alarms += isinstance(effect, EventOpened)
             self._reporter.record(self.vehicle, effect)
         self.moments.append(self._moment())
 
     def _moment(self) -> Moment:
-        session, judge, told = self._session, self._session.judge, None
-        chain = judge.chain if judge else None
-        if chain is not self._chain or not self.moments:
-            self._chain, told = chain, json_line(about(self.vehicle, session.spec.profile.name, judge))
+        session, judge = self._session, self._session.judge
         spans = (judge.judged_s, judge.flight_s) if judge else (0.0, 0.0)
         rates = tuple((signal.value, session.streams.meters[signal].rate_hz) for signal in METERED)
-        figures = VehicleFigures(self.vehicle, session.state, 0, 0, spans[0], self._alarms, spans[1], rates)
-        shown = self._snapshots.next(figures, session, judge.pieces if judge else (), self._track, self._at)
+        figures = VehicleFigures(self.vehicle, session.state, 0, 0, spans[0], self._alarms.copy(), spans[1], rates)
+        told, shown = self._snapshots.next(figures, session, judge.pieces if judge else (), self._track, self._at)
         everything, began = DaemonFigures((figures,), (), 0, 0.0), Instant(self.begin_ns)
         fleet = fleet_now(everything, {self.vehicle: session}, self._at, began)
         entries, self._entries = tuple(self._entries), []
         strips = json_line(shown.pop("strips"))[1:-1]
-        return Moment(self._at.ns, told, json_line(fleet), json_line(shown), strips, entries, shown["level"])
+        about = None if told is None else json_line(told)
+        return Moment(self._at.ns, about, json_line(fleet), json_line(shown), strips, entries, shown["level"])
 
 
 class Player:

@@ -124,13 +124,18 @@ class VehicleFigures:
     received: int  # frames of its autopilot
     lost: int
     judged_s: float
-    events: int
+    alarms: Mapping[str, int] = field(default_factory=dict)  # that were opened, by monitor
     flight_s: float = 0.0
     rates: tuple[tuple[str, float], ...] = ()  # measured rate of each stream that is metered [Hz]
     ratios: tuple[tuple[str, str, float], ...] = ()  # statistic over threshold of monitor and axis that are valid now
     timesync: Timesync = field(default_factory=Timesync)  # as asked last
     drift_ppm: float | None = None  # of the first clock of its messages against another; None if they have one clock
     diagnosis: Diagnosis = NOTHING_SEEN
+
+    @property
+    def events(self) -> int:
+        """All alarms."""
+        return sum(self.alarms.values())
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from web_page import browser
 from mavdiag.baseline import Baseline
 from mavdiag.commands.report import write_report
 from mavdiag.demo.command import own_baselines
-from mavdiag.demo.subprocesses import READY_S, Flight, child
+from mavdiag.demo.subprocesses import READY_S, Child, Flight
 from mavdiag.logs import read_log
 
 FLIGHT = Flight(duration_s=60.0, fault="F2/SV2", rotor=1, onset_s=15.0, seed=1)
@@ -26,9 +26,9 @@ def main() -> None:
     with TemporaryDirectory() as name, browser(Path(name) / "profile") as driver:
         log, page = Path(name) / "flight.tlog", Path(name) / "report.html"
         link = ("--connect", "udpin:127.0.0.1:0", "--web", "127.0.0.1:0", "--record", str(log))
-        with child("detector", *link, "--baseline", str(fused)) as detector:
+        with Child("detector", *link, "--baseline", str(fused)) as detector:
             address, served = (detector.wait_for(word, READY_S).partition(word)[2] for word in ("udpin:", "http://"))
-            with child("sitl_plant", "run", "--out", f"udpout:{address.partition(',')[0]}", *FLIGHT.arguments) as plant:
+            with Child("sitl_plant", "run", "--out", f"udpout:{address.partition(',')[0]}", *FLIGHT.arguments) as plant:
                 plant.wait_for("flies", READY_S)
                 driver.set_window_size(1280, 900)
                 driver.get(f"http://{served}")

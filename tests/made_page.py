@@ -5,17 +5,17 @@ import math
 from collections.abc import Iterator, Mapping
 
 from detector.states import State
-from detector.web.snapshot import Level
 from mavdiag.airframe.layout import layout_named
+from mavdiag.decision.diagnosis import Stage
 from mavdiag.report.drawing import airframe_svg
 from mavdiag.telemetry import Axis
 
 #: Of fleets of several sizes the vehicles that are not quiet: level and rotor.
-FLEETS: Mapping[int, Mapping[int, tuple[Level, int | None]]] = {
+FLEETS: Mapping[int, Mapping[int, tuple[Stage, int | None]]] = {
     0: {},
-    1: {1: (Level.QUIET, None)},
-    3: {2: (Level.FAULT, 2)},
-    20: {4: (Level.INSPECT, 1), 7: (Level.FAULT, 3), 12: (Level.SUSPECTED, None), 15: (Level.NOT_JUDGED, None)},
+    1: {1: (Stage.QUIET, None)},
+    3: {2: (Stage.FAULT, 2)},
+    20: {4: (Stage.INSPECT, 1), 7: (Stage.FAULT, 3), 12: (Stage.SUSPECTED, None), 15: (Stage.NOT_JUDGED, None)},
 }
 
 
@@ -25,10 +25,10 @@ def entry(number: int, text: str = "PROP monitoring", severity: int = 6, vehicle
 
 
 def fleet(
-    *vehicles: int, sentence: str = "No fault found.", levels: Mapping[int, tuple[Level, int | None]] = {}
+    *vehicles: int, sentence: str = "No fault found.", levels: Mapping[int, tuple[Stage, int | None]] = {}
 ) -> str:
     """The vehicles, all quiet but those of `levels`, each with its level and rotor."""
-    found = {one: levels.get(one, (Level.QUIET, None)) for one in vehicles}
+    found = {one: levels.get(one, (Stage.QUIET, None)) for one in vehicles}
     lines = [
         {"vehicle": one, "state": "monitoring", "level": level, "rotor": rotor, "sentence": sentence, "advice": ""}
         for one, (level, rotor) in found.items()
@@ -50,7 +50,7 @@ def about(vehicle: int, name: str = "QDrone 2") -> str:
     return f"A {vehicle} {json.dumps(told | {'slots': [dict(zip(names, slot, strict=True)) for slot in slots]})}"
 
 
-def now(vehicle: int, first: int, level: Level = Level.QUIET, rotor: int | None = None, sentence: str = "") -> str:
+def now(vehicle: int, first: int, level: Stage = Stage.QUIET, rotor: int | None = None, sentence: str = "") -> str:
     bins = list(range(first, first + 4))
     high = [0.03 * ((number * 7) % 5 - 2) / 2 for number in bins]
     strip = {"axis": Axis.ROLL, "bins": bins, "low": [value - 0.01 for value in high], "high": high}

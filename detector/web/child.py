@@ -9,12 +9,12 @@ import json
 import os
 import select
 import subprocess
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
 
+from detector.process import begun
 from detector.web.access import Access
 from mavdiag.errors import LinkError, UsageError, check_installed
 from mavdiag.link.keys import read_secret
@@ -25,7 +25,7 @@ AGAIN_S = 5.0  # pause before it is started again (our choice)
 END_S = 1.0
 READ_BYTES = 65_536
 TOKEN_LEAST = 16  # characters
-COMMAND = ("-P", "-m", "detector.web.server")  # -P: not what lies in the present folder
+SERVER = "detector.web.server"  # the module that serves
 
 
 def read_token(path: Path) -> str:
@@ -121,10 +121,8 @@ class ServerProcess:
             process.wait()
 
     def _spawn(self) -> None:
-        environ = {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
-        pipe = subprocess.PIPE
         try:
-            process = subprocess.Popen([sys.executable, *COMMAND], stdin=pipe, stdout=pipe, bufsize=0, env=environ)
+            process = begun(SERVER)
         except OSError as error:
             raise LinkError(f"web page: its process cannot be started ({error.strerror or error})") from error
         self._process, self._unread, self._fresh = process, b"", True

@@ -11,9 +11,8 @@ from detector.fleet import Fleet, Turn
 from detector.values import DaemonFigures
 from detector.web.board import KEPT, is_vehicle
 from detector.web.child import ServerProcess
-from detector.web.snapshot import BACK_S, Snapshots, Track, about, fleet_now, strips_of, thesis_traces
+from detector.web.snapshot import BACK_S, Snapshots, Track, fleet_now, strips_of, thesis_traces
 from mavdiag.as_json import json_line
-from mavdiag.chain import Chain
 from mavdiag.kernel import LOOK_NS, Piece
 from mavdiag.telemetry import Instant
 from mavdiag.traces import SlotTrace
@@ -39,7 +38,6 @@ class Feed:
         self._back: dict[int, deque[list[SlotTrace]]] = {}  # of the vehicles at which nobody looks
         self._snapshots: dict[int, Snapshots] = {}
         self._tracks: defaultdict[int, Track] = defaultdict(Track)
-        self._about: dict[int, Chain | None] = {}
         self._shown = began
         self._acknowledged: list[int] = []
 
@@ -52,8 +50,7 @@ class Feed:
         """After each look of the daemon."""
         fresh, lines = self._child.look(now)
         if fresh:
-            self._given, self._watched = 0, ()
-            self._about.clear()
+            self._given, self._watched, self._snapshots = 0, (), {}
         for line in lines:
             self._heard(line)
         for turn in turns:
@@ -111,14 +108,11 @@ class Feed:
         vehicle = fleet.vehicles.get(sysid)
         if vehicle is None:
             return
-        session = vehicle.session
-        chain = None if session.judge is None else session.judge.chain
-        if sysid not in self._about or self._about[sysid] is not chain:
-            if not self._put(f"A {sysid}", json_line(about(sysid, session.spec.profile.name, session.judge))):
-                return
-            self._about[sysid] = chain
         pieces, track = self._pieces.pop(sysid, []), self._tracks[sysid]
-        shown = self._snapshots[sysid].next(fleet.figures_of(sysid), session, pieces, track, now)
+        told, shown = self._snapshots[sysid].next(fleet.figures_of(sysid), vehicle.session, pieces, track, now)
+        if told is not None and not self._put(f"A {sysid}", json_line(told)):
+            self._snapshots[sysid] = Snapshots()  # it is told once there is room
+            return
         back = (trace for traces in self._back.pop(sysid, ()) for trace in traces)
         shown["strips"] = [*strips_of(back), *shown["strips"]]
         self._put(f"N {sysid}", json_line(shown))

@@ -12,7 +12,6 @@ import contextlib
 import json
 import logging
 import os
-import signal
 import sys
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
@@ -206,6 +205,5 @@ async def _serve() -> None:
 
 
 if __name__ == "__main__":
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to both processes, but is the daemon's business
     with contextlib.suppress(ConnectionError, BrokenPipeError):
         asyncio.run(_serve())

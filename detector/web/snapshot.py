@@ -12,12 +12,10 @@ import math
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import Any
 
 import numpy as np
 
-from detector.alerts import label_of
 from detector.judging import Judge, unjudged_s
 from detector.session import Session
 from detector.states import State
@@ -38,6 +36,7 @@ STALE_S = 1.5  # without rows for so long, nothing is judged now (our choice)
 HELD = 3.0  # periods that the value of a slow monitor stays on the page (our choice)
 BIN_NS = NS_PER_S // 20  # of vehicle time that one point of a strip stands for (our choice)
 DIGITS = 5
+OFF = "off"  # what the page says of a vehicle beside the stages: its session cannot do its work, or its link is lost
 BACK_S = 20.0  # that the strips show
 TRACK_POINTS = 120  # of a track, one a second: the last two minutes (our choice)
 PLACES = (Signal.POSITION, Signal.COORDINATES)
@@ -59,17 +58,6 @@ _IDLE = {
 }
 
 
-class Level(StrEnum):
-    """What the page says of a vehicle at first sight."""
-
-    FAULT = "fault"
-    INSPECT = "inspect"  # it was declared in an earlier flight, and nobody has acknowledged it
-    SUSPECTED = "suspected"
-    QUIET = "quiet"  # flight is judged, and nothing was found
-    NOT_JUDGED = "not judged"
-    OFF = "off"  # the session cannot do its work, or its link is lost
-
-
 def about(vehicle: int, profile: str, judge: Judge | None) -> Json:
     """What a vehicle is judged by; without a chain, no monitors. margin: of the thesis rule's signal [rad/s].
 
@@ -85,8 +73,8 @@ def about(vehicle: int, profile: str, judge: Judge | None) -> Json:
     for slot in judge.chain.slots:
         monitor = slot.monitor
         margin = monitor.reference if monitor.name == "fsd" else None
-        told = {"label": label_of(monitor.name), "axis": monitor.axis or "", "margin": margin}
-        named["slots"].append(_picked(monitor, "name", "unit") | _picked(slot, "threshold", "decides") | told)
+        told = {"axis": monitor.axis or "", "margin": margin}
+        named["slots"].append(_picked(monitor, "name", "label", "unit") | _picked(slot, "threshold", "decides") | told)
     return named
 
 
@@ -138,19 +126,23 @@ class Snapshots:
     """Makes the snapshots of one vehicle, each with what came since the last one."""
 
     def __init__(self) -> None:
-        self._chain: Chain | None = None
+        self._told: tuple[Chain | None, ...] = ()  # the chain that `about` was told of
         self._seen: dict[int, _Seen] = {}  # by number of the slot
         self._accounts: tuple[Account, ...] = ()
         self._rows: Instant | None = None  # when rows came last
 
     def next(
         self, figures: VehicleFigures, session: Session, pieces: Sequence[Piece], track: Track, now: Instant
-    ) -> Json:
-        """A vehicle now. pieces: what its chain gave since the last snapshot."""
-        judge = session.judge
+    ) -> tuple[Json | None, Json]:
+        """`about` a vehicle, None where that is as before, and the vehicle now.
+
+        pieces: what its chain gave since the last snapshot.
+        """
+        judge, told = session.judge, None
         chain = None if judge is None else judge.chain
-        if chain is not self._chain:
-            self._chain, self._seen, self._accounts, self._rows = chain, {}, (), None
+        if self._told != (chain,):
+            self._told, self._seen, self._accounts, self._rows = (chain,), {}, (), None
+            told = about(figures.vehicle, session.spec.profile.name, judge)
         slots, strips, nearest, now_ns = list[Json](), list[Json](), "", None
         since_ns = session.diagnosis.declared_ns
         if judge is not None:
@@ -162,7 +154,7 @@ class Snapshots:
         known = (seen.rises for seen in self._seen.values() if seen.rises and seen.value is not None)
         rates = [(LABELS[Signal(name)], round(hertz, 1)) for name, hertz in figures.rates]
         link = {"silent_s": round(now - session.latest, 2), "rates": rates} | _picked(figures.timesync, "round_trip_s")
-        return {
+        return told, {
             **_picked(figures, "vehicle", "events"),
             **_picked(session, "state", "reason"),
             **_verdict(session, any(slot["value"] is not None for slot in slots), nearest),
@@ -244,20 +236,18 @@ def _shown(values: FloatArray) -> list[float]:
 
 def _verdict(session: Session, judging: bool, nearest: str = "") -> Json:
     """Level, sentence, what to do and suspected rotor. judging: whether any monitor judges now. nearest: of them."""
-    held, state = session.diagnosis, session.state
-    level, sentence = Level.NOT_JUDGED, held_sentence(held)
-    if held.stage in (Stage.FAULT, Stage.INSPECT):
-        level = Level(held.stage.value)
+    held, state, level = session.diagnosis, session.state, str(Stage.NOT_JUDGED)
+    if held.stage in (Stage.FAULT, Stage.INSPECT) or (judging and state is State.MONITORING):
+        level = held.stage
     elif state in (State.LOST, State.FAULTED):
-        level = Level.OFF
-    elif judging and state is State.MONITORING and held.stage in (Stage.QUIET, Stage.SUSPECTED):
-        level = Level(held.stage.value)
-    if level is Level.QUIET:
+        level = OFF
+    sentence = held_sentence(held)
+    if level == Stage.QUIET:
         sentence = nearest or "No fault found."
-    elif level in (Level.NOT_JUDGED, Level.OFF):
+    elif level in (Stage.NOT_JUDGED, OFF):
         reason = session.reason.removeprefix("monitoring: ").removeprefix("not judged: ")
         sentence = _IDLE[state].format(held.reason if reason == "monitoring" else reason)
-    alarm = level in (Level.FAULT, Level.INSPECT, Level.SUSPECTED)
+    alarm = level in (Stage.FAULT, Stage.INSPECT, Stage.SUSPECTED)
     told = {"advice": held_advice(held) if alarm else "", "rotor": held.rotor if alarm else None}
     return {"level": level, "sentence": sentence} | told
 
@@ -268,7 +258,7 @@ def _nearest(judge: Judge, slots: Sequence[Json]) -> str:
     if not ratios:
         return ""
     ratio, monitor = max(ratios, key=lambda pair: pair[0])
-    name = f"{label_of(monitor.name)} {monitor.axis or ''}".rstrip()
+    name = f"{monitor.label} {monitor.axis or ''}".rstrip()
     return f"{len(pairs)} of {len(slots)} monitors judge; nearest to its threshold is {name}, with {100 * ratio:.0f} %."
 
 

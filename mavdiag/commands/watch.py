@@ -15,7 +15,6 @@ from mavdiag.commands import options as opt
 from mavdiag.errors import InputError, UsageError
 from mavdiag.link.keys import read_key
 from mavdiag.link.ports import open_endpoint
-from mavdiag.link.signing import Signing, stamp_at
 from mavdiag.logs import read_log
 from mavdiag.telemetry import Axis
 
@@ -55,17 +54,10 @@ def watch(
                 watching.follow(journal, vehicle, ended)
             return
         judged_by = None if baseline is None else Baseline.load(baseline)
+        judge = None if judged_by is None else LiveJudge(judged_by, span, time.time_ns())
         key = None if signing_key is None else read_key(signing_key)
-
-        def signing() -> Signing | None:
-            return None if key is None else Signing(key, stamp=stamp_at(time.time_ns()))
-
         with open_endpoint(source) as endpoint:
-            judge = None
-            if judged_by is not None:
-                judge = LiveJudge(judged_by, span, vehicle, endpoint.datagrams, time.time_ns(), signing())
-            speaks = not source.startswith(LISTENING)
-            station = GroundStation(endpoint, judge, speaks, vehicle=vehicle, signing=signing())
+            station = GroundStation(endpoint, judge, not source.startswith(LISTENING), vehicle, key)
             watching.watch(station, endpoint.address, axis, span, ended)
             if not station.heard and stopped():
                 raise KeyboardInterrupt
@@ -104,4 +96,4 @@ def replay(
         read, known = read_log(log, vehicle), Baseline.load(baseline)
         fitting = playable(known, read, from_s)
         begun_ns = read.started_ns
-        play(read, lambda: LiveJudge(fitting, SPAN_S, vehicle, began_ns=begun_ns), speed, from_s, axis, stopped)
+        play(read, lambda: LiveJudge(fitting, SPAN_S, begun_ns), speed, from_s, axis, stopped)

@@ -81,14 +81,16 @@ def demo(
         with closed_loop(flight, fused, LiveJudge(reference, SPAN_S), record) as (plant, _, station):
             changes = watch(plant, station, flight, quiet=as_json)
         result = DemoResult.of(flight.onset_s, station.texts)
-        if as_json:
-            typer.echo(json_line(asdict(result)))
-        else:
+        if not as_json:
             _print_result(result, flight, changes)
+        if report is not None or not as_json:
             page, log = report or own_cache() / "demo-report.html", replace(read_log(record), name="the demo's flight")
             page.parent.mkdir(parents=True, exist_ok=True)
-            say(f"the recorded flight, judged as a log: {write_report(log, Baseline.load(fused), fused, page)}")
-            say(f"its report: {page}")
+            verdict = write_report(log, Baseline.load(fused), fused, page)
+            say(f"the recorded flight, judged as a log: {verdict}", err=as_json)
+            say(f"its report: {page}", err=as_json)
+        if as_json:
+            typer.echo(json_line(asdict(result)))
     raise typer.Exit(0 if result.verdict == "detected" else 1)
 
 

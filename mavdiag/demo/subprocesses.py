@@ -26,26 +26,20 @@ POLL_S = 0.05
 READY_S = 120.0  # the emulator compiles its loop at its first start
 
 
-class Child:
-    """A running process. What it prints goes to a file, so that it never waits for a reader."""
+class Child(contextlib.AbstractContextManager["Child"]):
+    """A process that ends with the block. What it prints goes to a file, so that it never waits for a reader."""
 
     def __init__(self, module: str, *arguments: str) -> None:
-        self.module, self._printed, self._told = module, b"", 0
-        self._output = tempfile.TemporaryFile()  # noqa: SIM115  # closed when the process has ended
+        self.module, self._told = module, 0
+        self._output = tempfile.TemporaryFile()  # noqa: SIM115  # closed with the block
         command, null = [sys.executable, "-m", module, *arguments], subprocess.DEVNULL
         self._process = subprocess.Popen(command, stdin=null, stdout=self._output, stderr=subprocess.STDOUT)
 
     @property
     def lines(self) -> list[str]:
         """The lines that it printed so far, read without moving the place at which it writes."""
-        if not self._output.closed:
-            self._printed = os.pread(self._output.fileno(), os.fstat(self._output.fileno()).st_size, 0)
-        return self._printed.rpartition(b"\n")[0].decode(errors="replace").splitlines()
-
-    @property
-    def last(self) -> str:
-        """The last line that it printed."""
-        return self.lines[-1] if self.lines else "it printed nothing"
+        printed = os.pread(self._output.fileno(), os.fstat(self._output.fileno()).st_size, 0)
+        return printed.rpartition(b"\n")[0].decode(errors="replace").splitlines()
 
     @property
     def running(self) -> bool:
@@ -57,47 +51,38 @@ class Child:
         until = time.monotonic() + timeout_s
         while True:
             ended = not self.running  # looked at before the lines: its last ones still count
-            for line in self.lines[self._told :]:
+            lines = self.lines
+            for line in lines[self._told :]:
                 self._told += 1
                 if text in line:
                     return line
             if ended or time.monotonic() >= until:
-                raise LinkError(f"{self.module} {'stopped' if ended else 'did not get ready'}: {self.last}")
+                raise LinkError(f"{self.module} {'stopped' if ended else 'did not get ready'}: {_last(lines)}")
             time.sleep(POLL_S)
-
-    def finish(self, timeout_s: float | None = None) -> int:
-        """Wait for its end and return its exit code; `lines` has all that it printed."""
-        code = self._process.wait(timeout_s)
-        _ = self.lines
-        self._output.close()
-        return code
 
     def end(self) -> None:
         """Ask it to stop, and insist after a while."""
-        if self.running:
-            self._process.send_signal(signal.SIGINT)
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                self._process.wait(GRACE_S)
-        if self.running:
-            self._process.kill()
-        self.finish(GRACE_S)
+        self._process.send_signal(signal.SIGINT)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(GRACE_S)
+        self._process.kill()
+        self._process.wait()
 
-
-@contextlib.contextmanager
-def child(module: str, *arguments: str) -> Iterator[Child]:
-    """A process that ends with the block."""
-    process = Child(module, *arguments)
-    try:
-        yield process
-    finally:
-        process.end()
+    def __exit__(self, *_: object) -> None:
+        self.end()
+        self._output.close()
 
 
 def run_child(module: str, *arguments: str) -> None:
     """Run a process to its end. Raises LinkError with its last line if it fails."""
-    with child(module, *arguments) as process:
-        if process.finish() != 0:
-            raise LinkError(f"{module} failed: {process.last}")
+    command, pipe = [sys.executable, "-m", module, *arguments], subprocess.PIPE
+    done = subprocess.run(command, stdin=subprocess.DEVNULL, stdout=pipe, stderr=subprocess.STDOUT, check=False)
+    if done.returncode:
+        raise LinkError(f"{module} failed: {_last(done.stdout.decode(errors='replace').splitlines())}")
+
+
+def _last(lines: Sequence[str]) -> str:
+    return lines[-1] if lines else "it printed nothing"
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,13 +134,13 @@ def closed_loop(
     kept = () if record is None else ("--record", str(record))
     with (
         open_endpoint("udpin:127.0.0.1:0") as endpoint,
-        child("detector", "--connect", "udpin:127.0.0.1:0", "--baseline", str(baseline), *kept) as detector,
+        Child("detector", "--connect", "udpin:127.0.0.1:0", "--baseline", str(baseline), *kept) as detector,
     ):
         line = detector.wait_for("ready", READY_S)
         found = re.search(r"udpin:([\d.]+:\d+)", line)
         if found is None:
             raise LinkError(f"the detector did not print where it listens: {line}")
         ground = endpoint.address.replace("udpin", "udpout")
-        with child("sitl_plant", "run", "--out", f"udpout:{found[1]}", "--out", ground, *flight.arguments) as plant:
+        with Child("sitl_plant", "run", "--out", f"udpout:{found[1]}", "--out", ground, *flight.arguments) as plant:
             plant.wait_for("flies", READY_S)
             yield plant, detector, GroundStation(endpoint, judge)

@@ -11,6 +11,7 @@ from contextlib import AbstractContextManager
 from dataclasses import replace
 
 from mavdiag.errors import InputError
+from mavdiag.link.datagrams import Datagrams
 from mavdiag.link.ports import Endpoint, open_endpoint
 from mavdiag.link.profiles import Profile, profile_named
 from mavdiag.link.samples import joined
@@ -82,14 +83,18 @@ class Link(AbstractContextManager["Link"]):
             if telemetry.series:
                 yield telemetry
             elif self.stream is None and time.monotonic() - began > PATIENCE_S and self._decoder.waiting:
-                raise InputError(self._absent())
+                raise InputError(self.absent)
 
     def poll(self, timeout_s: float) -> Telemetry:
         """What came since the last time, after waiting up to `timeout_s`; empty if nothing did.
 
         Raises InputError if there are several vehicles and none was named.
         """
-        received = self._decoder.feed(self._endpoint.receive(timeout_s), time.monotonic_ns())
+        return self.take(self._endpoint.receive(timeout_s), time.monotonic_ns())
+
+    def take(self, some: Datagrams, now_ns: int) -> Telemetry:
+        """What the vehicle sent of what the other end brought. Raises InputError as `poll`."""
+        received = self._decoder.feed(some, now_ns)
         known = sorted(self._decoder.vehicles)
         if self._vehicle is None and known:
             if len(known) > 1:
@@ -124,7 +129,7 @@ class Link(AbstractContextManager["Link"]):
             pieces.append(self.poll(min(left, POLL_S)))
         telemetry = joined(pieces)
         if self.stream is None:
-            raise InputError(self._absent())
+            raise InputError(self.absent)
         notes = () if telemetry.series else (SILENT_NOTE,)
         name, stream = f"{self.address} vehicle {self._vehicle}", self.stream
         log = Log(name, "", stream.profile.name, telemetry, notes=notes, parameters=stream.parameters)
@@ -133,7 +138,9 @@ class Link(AbstractContextManager["Link"]):
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _absent(self) -> str:
+    @property
+    def absent(self) -> str:
+        """Why no vehicle has entered, as far as is known."""
         waiting = self._decoder.waiting
         for sysid, reason in waiting.items():
             return f"{self.address}: vehicle {sysid}: {reason}"

@@ -5,7 +5,6 @@ Content-Security-Policy lets it pass. Its elements are in drawing.svg, a templat
 """
 
 import math
-from collections import Counter
 from collections.abc import Mapping
 
 from mavdiag.airframe.layout import Place, RotorLayout
@@ -22,17 +21,15 @@ LABEL_FROM = 20.0  # radius of a rotor from which on its label fits into it; els
 
 def rotor_places(layout: RotorLayout) -> tuple[Place, ...]:
     """Where the rotors are, the outermost one 1 from the centre; those of one place are set apart along the circle."""
-    points = [(pitch, -roll) for roll, pitch, _ in layout.signs]
-    reach = max(math.hypot(*point) for point in points)
-    points = [(round(x / reach, 6), round(y / reach, 6)) for x, y in points]
-    total, seen, places = Counter(points), Counter[tuple[float, float]](), []
-    for (x, y), (_, _, yaw) in zip(points, layout.signs, strict=True):
-        along = APART * (seen[x, y] - 0.5 * (total[x, y] - 1))
-        seen[x, y] += 1
-        far = math.hypot(x, y) or 1.0
-        across_x, across_y = (-y / far, x / far) if (x, y) != (0.0, 0.0) else (0.0, 1.0)
-        places.append(Place(x + along * across_x, y + along * across_y, "ccw" if yaw > 0 else "cw"))
-    return tuple(places)
+    reach, places = max(math.hypot(roll, pitch) for roll, pitch, _ in layout.signs), dict[int, Place]()
+    for arm in layout.arms:
+        for number, rotor in enumerate(arm.members):
+            roll, pitch, yaw = layout.signs[rotor - 1]
+            x, y, far = pitch / reach, -roll / reach, math.hypot(roll, pitch) / reach
+            across_x, across_y = (-y / far, x / far) if far > 0 else (0.0, 1.0)
+            along = APART * (number - 0.5 * (len(arm.members) - 1))
+            places[rotor] = Place(x + along * across_x, y + along * across_y, "ccw" if yaw > 0 else "cw")
+    return tuple(places[rotor] for rotor in sorted(places))
 
 
 def where(place: Place) -> str:

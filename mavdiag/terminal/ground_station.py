@@ -1,21 +1,20 @@
 """A small ground station (edge): it receives one link, keeps what a pilot would see, and may judge a vehicle itself."""
 
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 from mavdiag.baseline import Baseline
 from mavdiag.chain import Chain, ChainState, chain_of
 from mavdiag.decision.diagnosis import Change, Diagnosis
-from mavdiag.errors import BaselineError, InputError
+from mavdiag.errors import BaselineError
 from mavdiag.judging import why_not
-from mavdiag.kernel import Gauge, Piece
+from mavdiag.kernel import Gauge, Piece, Slot
 from mavdiag.link.codec import Decoder, Encoder, Frame
-from mavdiag.link.datagrams import Datagrams
+from mavdiag.link.link import Link
 from mavdiag.link.messages import Autopilot, Component, MavType, MessageId
 from mavdiag.link.ports import Endpoint, wait
-from mavdiag.link.sequence import LinkCount
-from mavdiag.link.signing import Signing
-from mavdiag.link.vehicles import LinkDecoder
+from mavdiag.link.signing import Signing, stamp_at
 from mavdiag.printable import printable
 from mavdiag.telemetry import Axis, Telemetry
 from mavdiag.units import NS_PER_S
@@ -39,39 +38,27 @@ class ReceivedText:
 
 @dataclass(slots=True)
 class LiveJudge:
-    """The chain of a baseline at work on one vehicle of a link."""
+    """The chain of a baseline at work on one vehicle."""
 
     baseline: Baseline
     span_s: float  # how much of the flight `pieces` holds
-    vehicle: int | None = None  # its system id; None takes the only one there is
-    datagrams: bool = True  # what the link's chunks are
     began_ns: int = 0  # start of the flight, unix epoch
-    signing: Signing | None = None  # lets only genuine frames pass
     pieces: tuple[Piece, ...] = ()  # what the chain made of the last seconds
     chain: Chain = field(init=False)
     _state: ChainState = field(init=False)
-    _decoder: LinkDecoder = field(init=False)
     _gauges: dict[tuple[str, Axis | None], Gauge] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.chain = chain_of(self.baseline, self.began_ns)
         self._state = self.chain.start()
-        self._decoder = LinkDecoder(None, self.vehicle, self.datagrams, signing=self.signing)
 
-    def take(self, some: Datagrams, now_ns: int) -> tuple[Change, ...]:
-        """Take what the link brought; return the changes of the decision."""
-        received = self._decoder.feed(some, now_ns)
-        known = sorted(self._decoder.vehicles)
-        if self.vehicle is None and len(known) > 1:
-            raise InputError(f"there are the vehicles {', '.join(map(str, known))}; choose one with --vehicle")
-        self.vehicle = next(iter(known), None) if self.vehicle is None else self.vehicle
-        if self.chain.profile is None and self.vehicle in self._decoder.vehicles:
-            self.chain = replace(self.chain, profile=self._decoder.vehicles[self.vehicle].profile.name)
-        found = None if self.vehicle is None else received.get(self.vehicle)
-        return () if found is None or not found.telemetry.series else self.judge(found.telemetry)
+    def judge(self, telemetry: Telemetry | None, profile: str | None = None) -> tuple[Change, ...]:
+        """Judge what came next, None at the end of a log; return the changes of the decision.
 
-    def judge(self, telemetry: Telemetry | None) -> tuple[Change, ...]:
-        """Judge what came next, as `take`; None at the end of a log."""
+        profile: of the link, once it is known. Raises BaselineError if the baseline is not for it.
+        """
+        if self.chain.profile is None and profile is not None:
+            self.chain = replace(self.chain, profile=profile)
         chain, state = self.chain, self._state
         output = chain.finish(state) if telemetry is None else chain.step(state, telemetry)
         if state.refused:
@@ -93,28 +80,12 @@ class LiveJudge:
         return self._state.diagnosis
 
     @property
-    def count(self) -> LinkCount | None:
-        """What came from the vehicle's autopilot so far, and what was lost."""
-        return None if self.vehicle is None else self._decoder.count(self.vehicle)
-
-    @property
-    def link_line(self) -> str:
-        """How the link is, or why the vehicle is not judged yet."""
-        count = self.count
-        if count is None:
-            return next(iter(self._decoder.waiting.values()), "") or "no vehicle yet"
-        lost = 100 * count.lost / max(count.received + count.lost, 1)
-        return f"vehicle {self.vehicle}: {count.received} messages, {lost:.2f} % lost"
-
-    @property
-    def gauges(self) -> tuple[tuple[str, Axis | None, Gauge | None, str], ...]:
-        """Of each slot: monitor, axis, its latest value, and why it does not judge (empty if it does)."""
-        found = []
+    def gauges(self) -> Iterator[tuple[Slot, Gauge | None, str]]:
+        """Each slot, its latest value, and why it does not judge (empty if it does)."""
         for slot, account in zip(self.chain.slots, self._state.accounts, strict=True):
             gauge = self._gauges.get(slot.key)
             judges = gauge is not None and gauge.valid
-            found.append((*slot.key, gauge, "" if judges else why_not(self.chain, account) or "warming up"))
-        return tuple(found)
+            yield slot, gauge, "" if judges else why_not(self.chain, account) or "warming up"
 
 
 @dataclass(slots=True)
@@ -125,16 +96,30 @@ class GroundStation:
     judge: LiveJudge | None = None  # judges the vehicle here, too
     speak: bool = True  # send heartbeats, so that autopilots pass on texts to this link
     vehicle: int | None = None  # the system id that is listened to; None for all
-    signing: Signing | None = None  # lets only genuine frames pass
+    key: bytes | None = None  # lets only frames pass that are signed with it
     texts: list[ReceivedText] = field(default_factory=list)  # of the detectors, each with its own vehicle's time
     figures: dict[str, float] = field(default_factory=dict)  # latest `FIGURES` of the vehicle that is shown
+    link: Link = field(init=False)  # to the vehicle that is judged here
     _times: dict[int, float] = field(default_factory=dict)
     _decoder: Decoder = field(init=False)
     _encoder: Encoder = field(default_factory=lambda: Encoder(GCS_SYSID, Component.MISSIONPLANNER))
     _beat_s: float = 0.0
 
     def __post_init__(self) -> None:
-        self._decoder = Decoder(WANTED, signing=self.signing)
+        self._decoder = Decoder(WANTED, signing=self._signing())
+        self.link = Link(self.endpoint, self.vehicle, signing=self._signing())
+
+    def _signing(self) -> Signing | None:
+        return None if self.key is None else Signing(self.key, stamp=stamp_at(time.time_ns()))
+
+    @property
+    def link_line(self) -> str:
+        """How the link to the judged vehicle is, or why it is not judged yet."""
+        count = self.link.count
+        if count is None:
+            return self.link.absent
+        lost = 100 * count.lost / max(count.received + count.lost, 1)
+        return f"vehicle {self.link.vehicle}: {count.received} messages, {lost:.2f} % lost"
 
     def listen(self, timeout_s: float) -> list[ReceivedText | Change]:
         """Take in what comes within `timeout_s`, or sooner; return new texts, and changes of the judge's decision."""
@@ -150,7 +135,9 @@ class GroundStation:
             for frame in decode(data, host_ns):
                 self._take(frame, fresh)
         if self.judge is not None:
-            fresh += self.judge.take(chunks, time.monotonic_ns())
+            telemetry, stream = self.link.take(chunks, time.monotonic_ns()), self.link.stream
+            if telemetry.series and stream is not None:
+                fresh += self.judge.judge(telemetry, stream.profile.name)
         return fresh
 
     @property

@@ -18,7 +18,6 @@ from rich.text import Text
 
 from mavdiag.decision.diagnosis import Change, Stage
 from mavdiag.link.messages import Severity
-from mavdiag.monitors import by_name
 from mavdiag.printable import printable
 from mavdiag.telemetry import Axis, BoolArray, FloatArray
 from mavdiag.terminal.ground_station import FIGURES, GroundStation, LiveJudge, ReceivedText
@@ -166,8 +165,8 @@ def line_for(news: ReceivedText | Change, text_from: str = "", change_from: str 
 def levels_of(judge: LiveJudge) -> tuple[Level, ...]:
     """Every monitor against its threshold; of one on two axes both."""
     found = []
-    for monitor, axis, gauge, reason in judge.gauges:
-        name = by_name(monitor).label + (f" {axis}" if axis is not None else "")
+    for slot, gauge, reason in judge.gauges:
+        name = f"{slot.monitor.label} {slot.monitor.axis or ''}".rstrip()
         figures = (0.0, math.inf, "") if gauge is None else (gauge.statistic, gauge.threshold, gauge.unit)
         found.append(Level(name, *figures, reason))
     return tuple(found)

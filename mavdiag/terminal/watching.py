@@ -121,14 +121,14 @@ def link_view(station: GroundStation, now_s: float, span_s: float, axis: Axis, e
     """A moment of a link: strips and every monitor where it is judged here, else the thesis rule by its figures."""
     if station.judge is None:
         return View(levels=figure_levels(station), events=tuple(events))
-    return judge_view(station.judge, now_s, span_s, axis, events)
+    return replace(judge_view(station.judge, now_s, span_s, axis, events), foot=station.link_line)
 
 
 def judge_view(judge: LiveJudge, now_s: float, span_s: float, axis: Axis, events: Sequence[Line]) -> View:
     """A moment of what is judged here: strips and every monitor."""
     strips, levels = rate_strips(judge, axis), levels_of(judge)
     says, stage = diagnosis_line(judge.diagnosis), judge.diagnosis.stage
-    return View("", says, stage, now_s - span_s, now_s, strips, levels, tuple(events), judge.link_line)
+    return View("", says, stage, now_s - span_s, now_s, strips, levels, tuple(events))
 
 
 @dataclass(slots=True)

@@ -95,7 +95,7 @@ def test_check_tells_what_a_start_would_do_and_opens_nothing(program: Any, basel
     config = tmp_path / "detector.toml"
     config.write_text(
         f'baseline = "{baseline}"\njournal = "{tmp_path}/j.jsonl"\nforward = ["/dev/absent,57600"]\nmetrics = "9100"\n'
-        f'threshold_scale = 2.0\n[vehicles.3]\nbaseline = "{baseline}"\n'
+        f'threshold_scale = 2.0\n[vehicles.200]\nbaseline = "{baseline}"\n'
     )
     before = sorted(tmp_path.iterdir())
     with open_endpoint("udpin:127.0.0.1:0") as taken:
@@ -104,7 +104,7 @@ def test_check_tells_what_a_start_would_do_and_opens_nothing(program: Any, basel
     assert [line.split()[0] for line in out.splitlines()] == [
         *("link", "watches", "judges", "vehicle", "thresholds", "forwards", "journal", "metrics")
     ]
-    assert "made, qdrone2 at 100 Hz, 1 monitors" in out
+    assert f"vehicle 200 by {baseline}: made, qdrone2 at 100 Hz, 1 monitors" in out
     assert "not now (/dev/absent,57600: no such device" in out
     assert sorted(tmp_path.iterdir()) == before
     assert "not kept: every start learns anew" in program("detector.__main__", "--check", "--learn", "10")[1]

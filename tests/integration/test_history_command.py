@@ -159,7 +159,8 @@ def watching(baseline: Baseline, flights: Flights, *vehicles: MadeVehicle) -> Be
     return Bench(Settings(connect=UDP_IN, learn=1.0), baseline=baseline, flights=flights, vehicles=list(vehicles))
 
 
-def in_this_process(command: list[str], **_: object) -> SimpleNamespace:
+def in_this_process(command: list[str], **how: Any) -> SimpleNamespace:
+    assert how["env"]["PYTHONSAFEPATH"]  # whatever lies in the present folder
     ran = CliRunner().invoke(app, command[command.index("mavdiag") + 1 :])
     said = "" if ran.exception is None else str(ran.exception)
     return SimpleNamespace(returncode=ran.exit_code, stdout=ran.output, stderr=said)
@@ -173,10 +174,9 @@ def test_every_flight_is_in_the_history_as_its_log_would_be(tmp_path: Path) -> N
     bench = watching(baseline, flights, MadeVehicle(3), MadeVehicle(4))
     kept: dict[str, bytes] = {}
 
-    def put(line: bytes) -> None:
-        path = Path(json.loads(line)[0])
-        kept.setdefault(path.name, path.read_bytes())
-        Courier.put(flights, line)
+    def put(job: Any) -> None:
+        kept.setdefault(job[0].name, job[0].read_bytes())
+        Courier.put(flights, job)
 
     with patch.object(flights, "put", put), patch("detector.flights.subprocess.run", in_this_process):
         flown(bench, 3.0, armed=False)

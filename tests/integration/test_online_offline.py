@@ -30,10 +30,11 @@ from virtual_link import heard
 from mavdiag.as_json import event_json
 from mavdiag.commands.shim import Passage
 from mavdiag.decision.diagnosis import Change
-from mavdiag.demo.subprocesses import Child, child
+from mavdiag.demo.subprocesses import Child
 from mavdiag.errors import LinkError
 from mavdiag.judging import judge, judge_in_full
 from mavdiag.link.datagrams import as_columns
+from mavdiag.link.link import Link
 from mavdiag.link.ports import Endpoint, open_endpoint, wait
 from mavdiag.link.shim import Impairment, Shim
 from mavdiag.logs import read_log
@@ -77,17 +78,16 @@ def test_the_journal_and_the_scan_of_the_recording_agree(tmp_path: Path) -> None
     baseline.save(file)
     with (
         open_endpoint("udpin:127.0.0.1:0") as endpoint,
-        child(
+        Child(
             "detector", "--connect", "udpin:127.0.0.1:0", "--baseline", str(file), "--journal", str(journal)
         ) as detector,
     ):
         bound = detector.wait_for("ready", PATIENCE_S).split(",")[0].split()[-1].replace("udpin", "udpout")
         own = endpoint.address.replace("udpin", "udpout")
         fault = ("--fault", "F2/SV2", "--rotor", "3", "--onset", f"{ONSET_S:g}", "--duration", f"{SECONDS:g}")
-        with child("sitl_plant", "run", "--out", bound, "--out", own, "--seed", "9", *fault) as plant:
+        with Child("sitl_plant", "run", "--out", bound, "--out", own, "--seed", "9", *fault) as plant:
             plant.wait_for("flies", PATIENCE_S)
             log.write_bytes(logged(endpoint, plant))
-            plant.finish(PATIENCE_S)
         detector.end()
     lines = [json.loads(line) for line in journal.read_text().splitlines()]
     live = in_order([line for line in lines if line.get("kind") == "event"])
@@ -225,14 +225,23 @@ def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 
 
 @pytest.mark.realtime
+def test_the_demo_ends_with_one_json_line_and_writes_the_report_that_was_asked_for(tmp_path: Path) -> None:
+    file, page = tmp_path / "b.json", tmp_path / "report.html"
+    taught(range(100, 106), 25.0, "qdrone2").save(file)
+    command = [sys.executable, "-m", "mavdiag", "demo", "--json", "--duration", "10", "--baseline", str(file)]
+    run = subprocess.run([*command, "--report", str(page)], stdout=subprocess.PIPE, check=False)
+    assert (json.loads(run.stdout)["onset_s"], page.exists()) == (3.0, True)
+
+
+@pytest.mark.realtime
 def test_b15_a_process_that_died_is_not_waited_for_and_a_timeout_is_of_the_whole_wait(module: str) -> None:
-    with child(module, "0") as one:
+    with Child(module, "0") as one:
         assert one.wait_for("last", PATIENCE_S) == "last line"
         begun = time.monotonic()
         with pytest.raises(LinkError, match="made_program stopped: last line"):
             one.wait_for("ready", 10 * PATIENCE_S)
         assert time.monotonic() - begun < PATIENCE_S
-    with child(module, "1000") as one:
+    with Child(module, "1000") as one:
         one.wait_for("first", PATIENCE_S)
         with pytest.raises(LinkError, match="did not get ready: tick"):
             one.wait_for("ready", 1.0)
@@ -244,12 +253,12 @@ def test_a_link_is_judged_as_its_log(tmp_path: Path) -> None:
     log = judge_in_full(read_log(path), baseline)
     assert log.chain is not None
     live, brief = LiveJudge(baseline, span_s=60.0), LiveJudge(baseline, span_s=2.0)
-    changes: list[Change] = []
-    frames = list(recorded(path))
+    link, changes, frames = Link(memory_pair()[0]), list[Change](), list(recorded(path))
     for first in range(0, len(frames), 200):
         some = frames[first : first + 200]
-        changes += live.take(as_columns(some), some[-1][1])
-        brief.take(as_columns(some), some[-1][1])
+        telemetry = link.take(as_columns(some), some[-1][1])
+        changes += live.judge(telemetry)
+        brief.judge(telemetry)
     (trace, _) = rate_traces(brief.chain, brief.pieces)
     assert 1.9 <= (trace.t_ns[-1] - trace.t_ns[0]) / 1e9 <= 2.6  # only the last seconds are kept
     assert changes == list(log.verdict.changes)[: len(changes)]
@@ -259,9 +268,7 @@ def test_a_link_is_judged_as_its_log(tmp_path: Path) -> None:
         assert count > 10_000
         np.testing.assert_array_equal(one.t_ns, other.t_ns[:count])
         np.testing.assert_allclose(one.residual, other.residual[:count], atol=1e-12)
-    assert live.vehicle == 1
-    assert live.count is not None
-    assert live.count.lost == 0
+    assert (link.vehicle, link.count and link.count.lost) == (1, 0)
 
 
 @pytest.mark.realtime

@@ -17,7 +17,7 @@ from processes import process as started
 from web_page import browser, give, look, serving, wait_for
 
 from detector.web.child import ServerProcess
-from detector.web.snapshot import Level
+from mavdiag.decision.diagnosis import Stage
 from mavdiag.link.ports import open_endpoint
 
 pytestmark = pytest.mark.realtime
@@ -66,7 +66,7 @@ def test_a_fault_is_seen_at_the_rotor_the_bar_and_the_strip(chromium: Any, proce
     wait_for(lambda: text(chromium, "#level-text") == "No fault found")
     assert chromium.execute_script("return mavdiag.traces.get('roll').points.length") == 400
     found = "A propeller fault of motor 2 was found."
-    give(process, entry(1, "PROP FAULT motor 2 weak 11%", 2), now(1, 400, Level.FAULT, 2, found))
+    give(process, entry(1, "PROP FAULT motor 2 weak 11%", 2), now(1, 400, Stage.FAULT, 2, found))
     wait_for(lambda: text(chromium, "#level-text") == "Fault, motor 2")
     assert text(chromium, "#alert") == "Vehicle 1: Fault, motor 2"
     assert text(chromium, "#sentence") == found
@@ -99,7 +99,7 @@ def test_every_fleet_is_seen_at_a_glance_on_screen_and_phone(chromium: Any, proc
         give(process, *flown())
         wait_for(lambda: text(chromium, "#sentence").startswith("2 of 3 monitors judge"))
         tiles = "return [...document.querySelectorAll('#vehicles [role=tab]')].map((one) => one.dataset.level)"
-        assert chromium.execute_script(tiles) == [levels.get(one, (Level.QUIET, None))[0] for one in vehicles]
+        assert chromium.execute_script(tiles) == [levels.get(one, (Stage.QUIET, None))[0] for one in vehicles]
         assert len(rows(chromium)) == 2  # the text, and twelve alarms of one monitor as one event
         assert "12 alarms in 12 s, up to 2.1 times its threshold" in text(chromium, "#list li:first-child .words")
     else:
@@ -154,7 +154,7 @@ def test_hostile_texts_stay_text(chromium: Any, process: ServerProcess) -> None:
     open_page(chromium, process)
     give(process, fleet(1, sentence=HOSTILE), about(1, HOSTILE))
     wait_for(lambda: text(chromium, "#vehicles [aria-selected=true] .name").endswith("Vehicle 1"))
-    give(process, about(1, HOSTILE), now(1, 0, Level.SUSPECTED, 3, HOSTILE), entry(1, HOSTILE, 4))
+    give(process, about(1, HOSTILE), now(1, 0, Stage.SUSPECTED, 3, HOSTILE), entry(1, HOSTILE, 4))
     give(process, f"J 2 {json.dumps({'kind': HOSTILE, 'utc': HOSTILE, 'vehicle': HOSTILE})}", "J 3 no JSON")
     wait_for(lambda: rows(chromium) == [2, 1])
     wait_for(lambda: HOSTILE in text(chromium, "#sentence"))

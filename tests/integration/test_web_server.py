@@ -279,7 +279,7 @@ def test_nothing_waits_for_a_slow_program_and_what_the_queue_cannot_hold_is_told
 
 
 def test_dead_hooks_hold_up_the_end_for_no_longer_than_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    dead = [Courier(f"hook {number}", lambda _: threading.Event().wait(), print) for number in range(4)]
+    dead = [Courier[bytes](f"hook {number}", lambda _: threading.Event().wait(), print) for number in range(4)]
     for hook in dead:
         hook.put(b"{}")
     at_s = [0.0]

@@ -19,7 +19,7 @@ from made_session import baseline_for
 from made_vehicle import Bench, MadeVehicle
 
 from detector.config import Settings
-from detector.journal import MB, Appender, Journal, Reporter, When
+from detector.journal import MB, Journal, Reporter, When
 from detector.metrics import COUNTERS, GAUGES, Metrics
 from detector.notify import Notifier
 from detector.states import State
@@ -30,9 +30,9 @@ from mavdiag.link.messages import Autopilot, Severity
 from mavdiag.telemetry import Axis
 
 
-def appender(path: Path, limit: int, keep: int) -> tuple[Appender, list[str]]:
+def appender(path: Path, limit: int, keep: int) -> tuple[Journal, list[str]]:
     said: list[str] = []
-    return Appender(path, "--journal", said.append, None if limit is None else limit / MB, keep), said
+    return Journal(path, said.append, limit / MB, keep), said
 
 
 def test_a_file_that_is_full_is_numbered_and_so_are_those_before(tmp_path: Path) -> None:

@@ -1,10 +1,9 @@
 """What a session does: stories on a virtual clock, laws that hold whatever happens, and the table of states."""
 
 import itertools
-import multiprocessing
+import os
 import runpy
 import threading
-import time
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
@@ -21,7 +20,6 @@ from made_baselines import trim
 from made_session import Story, baseline_for, outcome_of
 from web_page import wait_for
 
-from detector.alerts import label_of
 from detector.check import plan
 from detector.config import SessionSettings, Settings
 from detector.fitting import ProcessFitter
@@ -42,6 +40,7 @@ from mavdiag.link.messages import Autopilot, MavCmd, MavResult, MessageId, Sever
 from mavdiag.link.profiles import LAST_RESORT, PROFILES
 from mavdiag.link.vehicles import Ack, Received
 from mavdiag.link.wants import Want, wants_of
+from mavdiag.monitors.rotor_trim import RotorTrim
 from mavdiag.telemetry import FloatArray, Instant, Series, Signal, Telemetry
 from mavdiag.units import G
 
@@ -172,7 +171,7 @@ def test_l2_what_the_optional_streams_lack_is_told_and_hinders_nothing() -> None
     story = Story(SessionSpec(PROFILES["ardupilot"], baseline_for("ardupilot", names=("fsd", "rotor_trim"))))
     story.fly(12.0)
     assert story.at(State.MONITORING)
-    trim = label_of("rotor_trim")
+    trim = RotorTrim.label
     assert story.state.reason == f"monitoring; {trim} not judged: no actuator outputs"
     assert f"PROP monitoring; {trim}: no actuator outputs" in story.texts
     notes = [effect.text for _, effect in story.log if isinstance(effect, Note)]
@@ -397,28 +396,20 @@ def test_a_turn_brings_more_looks_where_there_are_many_vehicles(many: int, looks
     assert fleet.looks == looks
 
 
-def test_only_its_own_process_is_ended() -> None:
-    context = multiprocessing.get_context("spawn")
-    other = context.Process(target=time.sleep, args=(60.0,))
-    other.start()
-    try:
-        fitter = ProcessFitter()
-        fitter.begin(1, Airframe(), Learn("qdrone2", Telemetry()))
-        wait_for(lambda: len(multiprocessing.active_children()) == 2, "the fit begins")
-        [own] = [one for one in multiprocessing.active_children() if one.pid != other.pid]
-        fitter.close()
-        wait_for(lambda: not own.is_alive(), "it ends")  # the fitter's thread waits for it, too: one of both is told
-        assert other.is_alive()
-    finally:
-        other.kill()
-        other.join()
+def test_a_fit_that_is_given_up_ends_its_process_and_ctrl_c_is_not_its_business() -> None:
+    fitter = ProcessFitter()
+    fitter.begin(1, Airframe(), Learn("qdrone2", Telemetry()))
+    process = wait_for(lambda: fitter._process, "the fit begins")
+    assert os.getsid(process.pid) == process.pid
+    fitter.close()
+    assert process.wait(10.0) == -9
 
 
-@pytest.mark.parametrize("what", ["multiprocessing.util.spawnv_passfds", "multiprocessing.connection.Connection.recv"])
+@pytest.mark.parametrize("what", ["subprocess.Popen", "subprocess.Popen.communicate"])
 def test_a_fitting_process_that_fails_is_an_outcome_and_nothing_waits_for_it(what: str) -> None:
     begun, fitter = threading.Event(), ProcessFitter()
 
-    def fail(*_: object) -> None:
+    def fail(*_: object, **__: object) -> None:
         raise OSError(f"begun {begun.wait(10.0)}")
 
     with patch(what, fail):

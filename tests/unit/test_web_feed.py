@@ -21,8 +21,9 @@ from detector.web.access import Access, Answer
 from detector.web.board import BATCH, FIRST, KEPT, Board, Reader, parse_last
 from detector.web.child import ServerProcess, read_token
 from detector.web.feed import Feed
-from detector.web.snapshot import TRACK_POINTS, Level, Snapshots, Track, about
+from detector.web.snapshot import TRACK_POINTS, Snapshots, Track, about
 from mavdiag.as_json import json_line
+from mavdiag.decision.diagnosis import Stage
 from mavdiag.errors import UsageError
 from mavdiag.judging import judge
 from mavdiag.kernel import Piece
@@ -153,14 +154,14 @@ def test_a_flight_from_waiting_to_a_fault_and_to_the_ground() -> None:
             for _ in range(2):
                 story.fly(0.1, **how)
                 pieces += story.session.judge.pieces if story.session.judge is not None else ()
-            figures = VehicleFigures(1, story.session.state, 10, 0, 1.0, 0)
-            shown = snapshots.next(figures, story.session, pieces, Track(), story.now)
+            figures = VehicleFigures(1, story.session.state, 10, 0, 1.0)
+            _, shown = snapshots.next(figures, story.session, pieces, Track(), story.now)
         return dict(json.loads(json_line(shown)))
 
     first = after(0.6)
-    assert (first["level"], first["state"]) == (Level.NOT_JUDGED, "waiting")
+    assert (first["level"], first["state"]) == (Stage.NOT_JUDGED, "waiting")
     quiet = after(15.0, outputs=True)
-    assert (quiet["level"], quiet["advice"], quiet["rotor"]) == (Level.QUIET, "", None)
+    assert (quiet["level"], quiet["advice"], quiet["rotor"]) == (Stage.QUIET, "", None)
     assert quiet["sentence"].startswith("2 of 4 monitors judge; nearest to its threshold is rotor trim, with")
     assert len(quiet["rises"]) == 4
     names = [one["name"] for one in about(1, "qdrone2", story.session.judge)["slots"]]
@@ -169,11 +170,11 @@ def test_a_flight_from_waiting_to_a_fault_and_to_the_ground() -> None:
     assert by_name["rotor_trim"]["value"] is not None
     assert by_name["vibration_level"] == {"value": None, "reason": "no VIBRATION"}
     found = after(4.0, outputs=True, push=0.4)
-    assert found["level"] == Level.SUSPECTED  # beside others, the thesis rule does not decide
+    assert found["level"] == Stage.SUSPECTED  # beside others, the thesis rule does not decide
     assert found["sentence"].startswith("A propeller fault is suspected, not declared, rotor unknown")
     assert found["advice"].startswith("Look at the propellers before the next flight")
     ground = after(10.0, outputs=True, armed=False)
-    assert ground["level"] == Level.NOT_JUDGED
+    assert ground["level"] == Stage.NOT_JUDGED
     assert ground["sentence"].startswith("Nothing is judged at this moment: it reads disarmed while its thrust says")
     told = {(slot["value"], slot["reason"]) for slot in ground["slots"]}
     assert told == {(None, "not armed"), (None, "no VIBRATION")}
@@ -386,7 +387,7 @@ def test_a_log_that_lacks_an_axis_of_the_accelerometer_is_judged(log: Log) -> No
         for one in log.telemetry
     )
     moments = scanned(replace(log, telemetry=Telemetry(tuple(series)))).moments
-    assert Level.FAULT in {moment.level for moment in moments}
+    assert Stage.FAULT in {moment.level for moment in moments}
 
 
 def test_it_plays_at_its_speed_and_begins_when_somebody_looks(log: Log, child: FakeChild) -> None:
@@ -427,8 +428,8 @@ def test_a_jump_begins_anew_with_what_was_until_then(log: Log, child: FakeChild)
     assert len(track) == pytest.approx(2 * 26, abs=2)
     radii = [math.hypot(north, east - 5) for north, east in zip(track[::2], track[1::2], strict=True)]
     assert radii == pytest.approx([5.0] * len(radii), abs=0.02)
-    assert child.of("F")[-1]["vehicles"][0]["level"] == Level.QUIET
-    assert [level for _, level in child.of("P")[-1]["spans"]][1:3] == [Level.QUIET, Level.FAULT]
+    assert child.of("F")[-1]["vehicles"][0]["level"] == Stage.QUIET
+    assert [level for _, level in child.of("P")[-1]["spans"]][1:3] == [Stage.QUIET, Stage.FAULT]
 
 
 def test_a_jump_to_what_is_not_judged_yet_waits_for_it(log: Log, child: FakeChild) -> None:
