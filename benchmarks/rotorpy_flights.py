@@ -3,11 +3,12 @@
     nox -s rotorpy -- [--vehicle hummingbird] [--seconds 40] [--seed 1] [--flights 4] [--workers 2]
 
 A baseline is learnt from two hovers, a circle and a Lissajous figure in calm air, with the rotors told. Each flight
-after it has a seed of its own: healthy as taught, faster, in gusts, in steady wind, with a load; with rotor 2 weaker,
-or out of balance, from the middle on. RotorPy knows no damage: its vehicle is asked for the wrench at the speed of the
-weak rotor times the root of what is left of its thrust and drag, and a rotor out of balance adds the force m r w^2 at
-its hub. All rotors have a little of it, as propellers of balance quality G 6.3 (ISO 21940-11). The controller has the
-true position and attitude, and the rate of RotorPy's gyro.
+after it has a seed of its own: healthy as taught, faster, in steps, turning, in gusts, in steady wind, with a load, a
+battery that sags, another gain of the attitude's controller, a gyro that drifts; with rotor 2 weaker, at once, by and
+by or now and then, or out of balance, from the middle on. RotorPy knows no damage: its vehicle is asked for the wrench
+at the speed of the weak rotor times the root of what is left of its thrust and drag, and a rotor out of balance adds
+the force m r w^2 at its hub. All rotors have a little of it, as propellers of balance quality G 6.3 (ISO 21940-11).
+The controller has the true position and attitude, and the rate of RotorPy's gyro.
 """
 
 import argparse
@@ -40,21 +41,28 @@ GYRO, ACCELEROMETER = 7e-5, 1e-3  # noise densities of a small IMU [rad/s, m/s^2
 FLU_TO_FRD = np.array([1.0, -1.0, -1.0])
 SOLVER = {"method": "RK23", "rtol": 1e-3, "atol": 1e-3, "first_step": 1.0 / RATE_HZ}
 TAUGHT = ("hover", "hover", "circle", "figure")
-PLACES = {"hover": 0.0, "circle": 1.0, "figure": 1.0, "fast circle": 1.6}  # and their pace
+PLACES = {"hover": 0.0, "steps": 0.0, "circle": 1.0, "figure": 1.0, "turning circle": 1.0, "fast circle": 1.6}  # pace
 
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """A flight. gusts_m_s: rms on each axis. load: of the mass.
+    """A flight. gusts_m_s: rms on each axis. load: of the mass. sag: share of all thrust that is lost until the end.
 
-    left: share of thrust and drag that rotor 2 keeps from the middle on. balance_mm_s: its balance quality then.
+    gain: of the attitude's controller, times. drift_rad_s: of the gyro until the end, on each axis.
+    left: share of thrust and drag that rotor 2 keeps from the middle on, by and by until the end (`fades`), or for one
+    of four seconds (`returns`). balance_mm_s: its balance quality then.
     """
 
     place: str
     gusts_m_s: float = 0.0
     wind_m_s: float = 0.0
     load: float = 0.0
+    sag: float = 0.0
+    gain: float = 1.0
+    drift_rad_s: float = 0.0
     left: float = 1.0
+    fades: bool = False
+    returns: bool = False
     balance_mm_s: float = 0.0
 
     def __str__(self) -> str:
@@ -62,7 +70,12 @@ class Case:
             f"gusts of {self.gusts_m_s:g} m/s" * bool(self.gusts_m_s),
             f"wind of {self.wind_m_s:g} m/s" * bool(self.wind_m_s),
             f"{self.load:.0%} heavier" * bool(self.load),
-            f"rotor 2 loses {1 - self.left:.0%}" * (self.left < 1),
+            f"thrust sags by {self.sag:.0%}" * bool(self.sag),
+            f"gain {self.gain:g}" * (self.gain != 1),
+            f"gyro drifts by {self.drift_rad_s:g} rad/s" * bool(self.drift_rad_s),
+            f"rotor 2 loses {1 - self.left:.0%}" * (self.left < 1)
+            + " by and by" * self.fades
+            + " at times" * self.returns,
             f"rotor 2 of G {self.balance_mm_s:g}" * bool(self.balance_mm_s),
         )
         return ", ".join(filter(None, (self.place, *parts)))
@@ -96,15 +109,17 @@ def damageable(values: Mapping[str, Any], state: Mapping[str, FloatArray], chanc
 
 
 def wanted(place: str, t_s: float, phase: float) -> dict[str, Any]:
-    """The flat output of a place: a hover, or a curve 2 m wide."""
+    """The flat output of a place: a hover, a step of 0.5 m every 4 s, or a curve 2 m wide, whose nose may turn."""
     pace = PLACES[place]
     across, along = (1.0, 2.0) if "figure" in place else (1.0, 1.0)
     a, b, size = across * pace, along * pace, 1.0 if pace else 0.0
+    turn_rad_s = 0.5 if "turning" in place else 0.0
     x = size * np.array([math.cos(a * t_s + phase), math.sin(b * t_s + phase), 0.0])
     v = size * np.array([-a * math.sin(a * t_s + phase), b * math.cos(b * t_s + phase), 0.0])
     turn = np.array([a * a, b * b, 0.0])
-    zero = {"x_dddot": np.zeros(3), "x_ddddot": np.zeros(3), "yaw": 0.0, "yaw_dot": 0.0, "yaw_ddot": 0.0}
-    return {"x": x, "x_dot": v, "x_ddot": -turn * x, **zero}
+    nose = {"yaw": turn_rad_s * t_s, "yaw_dot": turn_rad_s, "yaw_ddot": 0.0}
+    at = np.array([0.5, 0.0, 0.0]) * (int(t_s // 4.0) % 2) if place == "steps" else x
+    return {"x": at, "x_dot": v, "x_ddot": -turn * x, "x_dddot": np.zeros(3), "x_ddddot": np.zeros(3), **nose}
 
 
 def winds(case: Case, count: int) -> FloatArray:
@@ -126,6 +141,7 @@ def flown(vehicle: str, seconds: float, case: Case, seed: int) -> md.Log:
     values = dict(rotorpy(f"vehicles.{vehicle}_params").quad_params)
     empty, count, top = values["mass"], values["num_rotors"], values["rotor_speed_max"]
     controller = rotorpy("controllers.quadrotor_control").SE3Control(values)
+    controller.kp_att = controller.kp_att * case.gain
     values["mass"] = empty * (1.0 + case.load)  # the controller does not know
     chance, dt_s = np.random.default_rng(seed), 1.0 / RATE_HZ
     np.random.seed(seed)  # noqa: NPY002 - from which RotorPy draws
@@ -144,8 +160,11 @@ def flown(vehicle: str, seconds: float, case: Case, seed: int) -> md.Log:
     steps, command = round(seconds * RATE_HZ), {"cmd_motor_speeds": np.full(count, hover)}
     wind, rows = winds(case, steps), []
     for k in range(steps):
-        if k == steps // 2:
-            plant.left[1], plant.unbalance[1] = case.left, max(usual[1], case.balance_mm_s * of_grade)
+        done = k / steps
+        plant.left[:], imu.gyro_bias = 1.0 - case.sag * done, np.full(3, case.drift_rad_s * done)
+        if k >= steps // 2 and (not case.returns or k * dt_s % 4.0 < 1.0):
+            plant.left[1] *= 1.0 - (1.0 - case.left) * (2.0 * done - 1.0 if case.fades else 1.0)
+            plant.unbalance[1] = max(usual[1], case.balance_mm_s * of_grade)
         state["wind"] = wind[k]
         measured = imu.measurement(state, plant.statedot(state, command, dt_s))
         command = controller.update(
@@ -180,10 +199,15 @@ def airframe_of(vehicle: str) -> md.Airframe:
 
 
 CASES = (
-    *map(Case, ("hover", "circle", "figure", "fast circle")),
+    *map(Case, PLACES),
     *(Case("circle", gusts_m_s=size) for size in (0.3, 1.0)),
     Case("circle", wind_m_s=2.0),
     Case("circle", load=0.1),
+    Case("circle", sag=0.2),
+    *(Case("circle", gain=gain) for gain in (0.8, 1.2)),
+    Case("circle", drift_rad_s=0.003),
+    *(Case(place, left=0.9, fades=True) for place in ("hover", "circle")),
+    *(Case(place, left=0.9, returns=True) for place in ("hover", "circle")),
     *(Case(place, left=left) for place in ("hover", "circle") for left in (0.97, 0.95, 0.9, 0.8)),
     *(Case(place, balance_mm_s=grade) for place in ("hover", "circle") for grade in (16.0, 40.0, 100.0)),
 )

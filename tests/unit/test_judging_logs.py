@@ -490,6 +490,16 @@ def test_each_value_counts_by_the_farthest_bin_behind_it(memory_s: float, wild: 
     assert sum(one.span_s for one in reasons.values()) == pytest.approx(0.01 * outside)
 
 
+def test_a_step_of_the_set_points_is_not_judged_from_the_rate_on_that_shows_it() -> None:
+    angles = np.where(np.arange(400) < 203, 0.0, 0.5)[:, None] * (1.0, 0.0, 0.0)
+    rows = rows_of(example_rows(400, 0.01, setpoint=angles).block)
+    sharp = Covered(Condition.COMMANDED_ACCELERATION, 0.0, 5.0)
+    found, outside = ones_judged([sharp], rows, Ones({sharp.condition}, 0.35))
+    shown = np.flatnonzero(np.abs(rows[0].rates.u[:, 0]) / 0.1 > 2.0 * sharp.high)[0]
+    assert (found.valid[shown - 1], found.valid[shown], found.valid[-1]) == (True, False, True)
+    assert outside[sharp.condition].value == pytest.approx(np.abs(rows[0].rates.u[:, 0]).max() / 0.1)
+
+
 @cache
 def straight() -> Baseline:
     options = LearnOptions(airframe=FRAME, monitors=("fsd", "innovation", "rotor_signature", "rotor_trim", "trim_step"))

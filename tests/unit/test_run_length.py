@@ -17,7 +17,7 @@ from mavdiag.identify import Method
 from mavdiag.identify.arx import ModelRecord
 from mavdiag.monitors import innovation
 from mavdiag.monitors.base import Flights
-from mavdiag.monitors.fitting import variance_law
+from mavdiag.monitors.fitting import USUAL_BIAS, variance_law
 from mavdiag.monitors.innovation import Innovation, InnovationSpec
 from mavdiag.monitors.run_length import RunLength, RunLengthSpec
 from mavdiag.rows.block import MADE_UP, VALID, WHOLE, U
@@ -50,6 +50,10 @@ def test_the_margin_is_hazen_s_90th_percentile_of_the_size() -> None:
         (spec,) = RunLength.fit([rows], replace(CONTEXT, axes=(Axis.ROLL,), margin_rule=rule))
         levels = np.abs(np.concatenate([one.signal[one.valid] for one in RunLength(spec).over(rows)]))
         assert spec.margin_rad_s == pytest.approx(np.percentile(levels, expected, method="hazen"), rel=1e-9)
+    for one in rows:
+        one.rates.u[:] *= 1e-3
+        one.rates.y[:] *= 1e-3
+    assert RunLength.fit([rows], replace(CONTEXT, axes=(Axis.ROLL,)))[0].margin_rad_s == USUAL_BIAS
 
 
 def test_an_axis_that_cannot_be_learnt_does_not_veto_the_other() -> None:
