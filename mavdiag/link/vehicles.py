@@ -433,14 +433,10 @@ class LinkDecoder:
 
     def take(self, some: Datagrams, now_ns: int) -> None:
         """Take what `feed` does; what is for or from vehicles that have entered waits for `received`."""
-        if self._datagrams:
-            taken = [self.decoder.take_datagrams(some)]
-        else:
-            taken = [self.decoder.take_stream(*chunk, end) for chunk, end in zip(some, some.sources, strict=True)]
-        for frames in taken:
-            if len(frames):
-                self._file(frames, now_ns)
-                self._take_talk(_talk(frames))
+        frames = self.decoder.take(some, datagrams=self._datagrams)
+        if len(frames):
+            self._file(frames, now_ns)
+            self._take_talk(_talk(frames))
 
     def _file(self, frames: Frames, now_ns: int) -> None:
         """Put frames where their vehicles' wait; see which others may enter."""

@@ -103,7 +103,7 @@ def decode_tlog(windows: Iterable[bytes]) -> TlogContent:
     systems, parameters = defaultdict[int, Evidence](Evidence), defaultdict[int, list[Frame]](list)
     seen_ns, kept, places, data = list[int](), Column(np.empty(0, PLAIN)), list[tuple[int, int, int]](), _NO_BYTES
     for window, last in chain(zip(windows, repeat(False)), ((b"", True),)):
-        at, frames = decoder.size, decoder.take_stream(window, last=last)
+        at, frames = decoder.size, decoder.feed(window, last=last)
         if not len(frames):
             continue
         for sysid in np.flatnonzero(np.bincount(frames.rows["sender"] >> 8)).tolist():
@@ -149,7 +149,7 @@ def _flights(path: Path, profile: str | None, vehicle: int | None, *, several: b
     if content.damaged_bytes > DAMAGED_SHARE * content.size:
         plain, share = Decoder(()), round(100 * content.damaged_bytes / content.size)
         for window in windows_of(path, PIECE_BYTES, TLOG_BYTES):
-            plain.take_stream(window)
+            plain.feed(window)
         if plain.garbage_bytes <= DAMAGED_SHARE * content.size:
             raise InputError(f"{path}: its frames have no time stamps (as in MAVProxy's .raw); take its .tlog")
         raise InputError(f"{path}: {share} % of the file is damaged, or it is no telemetry log; get a sound copy")
@@ -228,7 +228,7 @@ def _names(sysids: Iterable[int]) -> str:
 def _recognise(head: bytes) -> bool:
     """Whether a marker of MAVLink stands behind a time stamp at its beginning, or a sound frame behind damage."""
     stamped = head[:1] == b"\0" and head[STAMP_BYTES : STAMP_BYTES + 1] in (b"\xfd", b"\xfe")
-    return stamped or len(Decoder().take_stream(head, last=True)) > 0
+    return stamped or len(Decoder().feed(head, last=True)) > 0
 
 
 KIND = LogKind("tlog", _recognise, read_tlog)

@@ -114,12 +114,12 @@ def unknown_frame(seq: int = 0) -> bytes:
 
 def test_frames_outside_the_dialect_are_taken_on_trust_only_before_another_frame() -> None:
     good, decoder = Encoder(1, 1).encode(MessageId.HEARTBEAT, *HEARTBEAT), Decoder()
-    assert (decoder.feed(unknown_frame(255), 0), decoder.records, len(decoder.feed(good, 0))) == ([], 0, 1)  # waits
+    assert (len(decoder.feed(unknown_frame(255))), decoder.records, len(decoder.feed(good))) == (0, 0, 1)  # waits
     assert (decoder.senders[1, 1].lost, decoder.senders[1, 1].by_message) == (0, {UNKNOWN: 1, MessageId.HEARTBEAT: 1})
     decoder = Decoder()
     assert (len(decoder.feed(unknown_frame() + b"x" + good, 0)), decoder.records) == (1, 1)
     decoder = Decoder()
-    assert (decoder.feed_datagram(unknown_frame(), 0), decoder.records) == ([], 1)
+    assert (heard(decoder, unknown_frame()), decoder.records) == ([], 1)
 
 
 @pytest.mark.parametrize(
@@ -185,8 +185,8 @@ def test_datagrams_at_once_are_heard_as_one_by_one(datagrams: list[tuple[bytes, 
     sources = [source for _, _, source in datagrams]
     single, whole = Decoder(), Decoder()
     alone = (as_columns([chunk], [source]) for chunk, source in zip(chunks, sources, strict=True))
-    each = [frame for one in alone for frame in single.take_datagrams(one)]
-    assert list(whole.take_datagrams(as_columns(chunks, sources))) == each
+    each = [frame for one in alone for frame in single.take(one)]
+    assert list(whole.take(as_columns(chunks, sources))) == each
     assert (whole.garbage_bytes, whole.records) == (single.garbage_bytes, single.records)
     assert whole.senders == single.senders
     for sender in single.senders:
@@ -220,7 +220,7 @@ def verifier() -> tuple[Signing, Decoder]:
 
 
 def heard(decoder: Decoder, *datagrams: bytes) -> list[Frame]:
-    return [frame for data in datagrams for frame in decoder.feed_datagram(data, 0)]
+    return list(decoder.take(as_columns([(data, 0) for data in datagrams])))
 
 
 def test_a_heartbeat_is_sealed_as_the_specification_has_it() -> None:

@@ -252,12 +252,12 @@ def test_made_up_senders_and_unknown_ids_cost_bounded_memory() -> None:
     unknown = [b"\xfd\x01\x00\x00" + bytes([k & 0xFF, 9, 1]) + one + b"xyz" for k, one in enumerate(ids)]
     for warm in (frames[:2000], unknown[:2000]):
         for frame in warm:
-            decoder.feed_datagram(frame, 0)
+            decoder.take(as_columns([(frame, 0)]))
             link.feed(as_columns([(frame, 0)], [THERE]), 0)
     flood = [(frame, k) for k, frame in enumerate((*frames, *unknown))]
     tracemalloc.start()
     for k in range(0, len(flood), 100):
-        decoder.take_datagrams(as_columns(flood[k : k + 100]))
+        decoder.take(as_columns(flood[k : k + 100]))
     link.feed(as_columns([(frame, 0) for frame in frames], [THERE] * len(frames)), S)
     grown, _ = tracemalloc.get_traced_memory()
     tracemalloc.stop()
@@ -434,9 +434,9 @@ def test_l7_what_a_byte_stream_brought_at_once_goes_on_in_packets_of_whole_frame
     stream, passed, decoder = b"".join(frames(200)), list[tuple[bytes, int]](), Decoder()
     LinkDecoder(datagrams=False, passed=passed).feed(as_columns([(stream[:4401], 0), (stream[4401:], 0)]), 0)
     Relay(near, [behind]).pass_on(passed)
-    messages = [data for data, _ in far.receive(0.0)]
-    assert max(map(len, messages)) <= DATAGRAM_BYTES
-    assert sum(len(decoder.feed_datagram(message, 0)) for message in messages) == 200
+    messages = far.receive(0.0)
+    assert messages.sizes.max() <= DATAGRAM_BYTES
+    assert len(decoder.take(messages)) == 200
 
 
 def test_a_byte_stream_is_put_together_wherever_it_was_cut() -> None:
@@ -479,7 +479,7 @@ def group(number: int, target: tuple[int, int] = (1, 1)) -> bytes:
 def test_an_interval_of_a_message_that_is_needed_is_denied_in_the_autopilots_name(message: bytes) -> None:
     found = handled(message, 1)
     assert found.passed == ()
-    [ack] = Decoder().feed_datagram(found.answers[0], 0)
+    [ack] = Decoder().feed(found.answers[0])
     assert (ack.sysid, ack.compid, ack.msgid) == (1, 1, MessageId.COMMAND_ACK)
     told = ack.numbers("command", "result", "target_system", "target_component")
     assert told == (MavCmd.SET_MESSAGE_INTERVAL, MavResult.DENIED, 255, Component.MISSIONPLANNER)
