@@ -419,8 +419,8 @@ class LinkDecoder:
 
     def strangers(self, sysid: int) -> tuple[Intruder | None, Intruder | None]:
         """Who else sends as a vehicle's autopilot, and who in our name as its on-board computer; None for nobody."""
-        heard, ours = self.decoder.heard, sysid << 8 | Component.ONBOARD_COMPUTER
-        return heard.intruder(sysid << 8 | AUTOPILOT), heard.impostors.get(ours)
+        heard = self.decoder.heard
+        return heard.intruder(sysid << 8 | AUTOPILOT), heard.impostor(sysid << 8 | Component.ONBOARD_COMPUTER)
 
     def claim(self, sysid: int, *, ours: bool) -> None:
         """Hear nobody else as a vehicle's on-board computer, or let others be it."""

@@ -235,6 +235,10 @@ def test_a_second_source_is_not_heard_while_the_first_is_alive() -> None:
         assert heard(senders, KEY, seq, at_s * S, source) is (source == HERE)
     assert (count := senders.count(KEY)) is not None
     assert (senders.source(KEY), senders.intruder(KEY), count.received) == (HERE, Intruder(THERE, 2), 2)
+    senders.claim([KEY])  # also of one that was heard before
+    assert (heard(senders, KEY, 3, 3 * S, HERE), senders.impostor(KEY)) == (False, Intruder(HERE, 3))
+    senders.claim([KEY], ours=False)
+    assert (heard(senders, KEY, 3, 3 * S, HERE), senders.impostor(KEY)) == (True, None)
 
 
 def test_running_numbers_of_one_sender_follow_on() -> None:
