@@ -21,7 +21,6 @@ from mavdiag.airframe.vehicle_type import refusal
 from mavdiag.errors import InputError
 from mavdiag.link.clock import LEAPS
 from mavdiag.link.codec import AUTOPILOT, STAMP_BYTES, Decoder, Frame, Frames
-from mavdiag.link.datagrams import Bytes
 from mavdiag.link.messages import MessageId
 from mavdiag.link.parameters import parameters_in
 from mavdiag.link.profiles import IMU_MESSAGES, PROFILES, Evidence, detect_profile, profile_named
@@ -40,8 +39,6 @@ _WANTED = frozenset({*IMU_MESSAGES, MessageId.PARAM_VALUE}).union(
     *(SampleDecoder(profile).wanted for profile in PROFILES.values())
 )
 
-_NO_BYTES = np.empty(0, np.uint8)
-
 
 class _Piece(NamedTuple):
     """Frames of a log, without the bytes that they lie in: where these begin, and how many they are."""
@@ -56,7 +53,6 @@ class TlogContent:
     """What a telemetry log holds."""
 
     pieces: list[_Piece]  # frames that any profile reads, of all senders, in order
-    latest: Bytes  # that the last piece lies in: a short log is read once
     systems: Mapping[int, Evidence]  # by system id
     parameters: Mapping[int, list[Frame]]  # what they told of them, by system id
     span_ns: int  # from the earliest of these frames to the latest
@@ -101,7 +97,7 @@ def decode_tlog(windows: Iterable[bytes]) -> TlogContent:
     """
     decoder = Decoder(_WANTED, stamped=True)
     systems, parameters = defaultdict[int, Evidence](Evidence), defaultdict[int, list[Frame]](list)
-    seen_ns, kept, places, data = list[int](), Column(np.empty(0, PLAIN)), list[tuple[int, int, int]](), _NO_BYTES
+    seen_ns, kept, places = list[int](), Column(np.empty(0, PLAIN)), list[tuple[int, int, int]]()
     for window, last in chain(zip(windows, repeat(False)), ((b"", True),)):
         at, frames = decoder.size, decoder.feed(window, last=last)
         if not len(frames):
@@ -112,13 +108,12 @@ def decode_tlog(windows: Iterable[bytes]) -> TlogContent:
             parameters[sysid] += own.of(MessageId.PARAM_VALUE)
         seen_ns += [int(frames.rows["host_ns"].min()), int(frames.rows["host_ns"].max())]
         kept.add(frames.rows.view(PLAIN))
-        data = frames.data
-        places.append((len(frames), at, len(data)))
+        places.append((len(frames), at, len(frames.data)))
     cut = np.split(kept.whole().view(FRAME), np.cumsum([count for count, *_ in places])[:-1])
     pieces = [_Piece(rows, at, size) for rows, (_, at, size) in zip(cut, places, strict=False)]
     span_ns = max(seen_ns, default=0) - min(seen_ns, default=0)
     totals = (decoder.size, decoder.records, decoder.garbage_bytes, decoder.senders, decoder.size - decoder.sound_end)
-    return TlogContent(pieces, data, systems, parameters, span_ns, *totals)
+    return TlogContent(pieces, systems, parameters, span_ns, *totals)
 
 
 def read_tlog(path: Path, vehicle: int | None = None, profile: str | None = None) -> Log:
@@ -167,7 +162,7 @@ def _flights(path: Path, profile: str | None, vehicle: int | None, *, several: b
         pieces = content.pieces if sysid == sysids[-1] else content.pieces.copy()
         parameters = parameters_in(content.parameters[sysid], known.autopilot)
         stream.state.take_parameters(parameters)
-        telemetry = joined(_converted(path, pieces, content.latest, sysid, stream))
+        telemetry = joined(_converted(path, pieces, sysid, stream))
         name = path.name if len(sysids) == 1 else f"{path.name} vehicle {sysid}"
         leaps = [f"{n} samples are left out: their stamps leap"] if (n := stream.state.timeline.leaps) >= LEAPS else []
         dated = ((x.t_ns[k], x.host_ns[k]) for x in telemetry for k in np.flatnonzero(x.host_ns > EARLIEST_NS)[:1])
@@ -198,16 +193,14 @@ def _summed(path: Path, update: Callable[[bytes], None]) -> Iterator[bytes]:
         yield window
 
 
-def _converted(
-    path: Path, pieces: list[_Piece], latest: Bytes, sysid: int, stream: VehicleStream
-) -> Iterator[Telemetry]:
-    """The telemetry of one vehicle, piece by piece; uses the pieces up. latest: the bytes of the last one."""
+def _converted(path: Path, pieces: list[_Piece], sysid: int, stream: VehicleStream) -> Iterator[Telemetry]:
+    """The telemetry of one vehicle, piece by piece; uses the pieces up."""
     pieces.reverse()
     with open_regular(path, TLOG_BYTES) as file:
         while pieces:
             rows, at, size = pieces.pop()
             file.seek(at)
-            data = np.frombuffer(file.read(size), np.uint8) if pieces else latest
+            data = np.frombuffer(file.read(size), np.uint8)
             if len(data) < size:
                 raise InputError(f"{path}: it became shorter while it was read; read it again")
             own = _of_system(Frames(data, rows), sysid)
