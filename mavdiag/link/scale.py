@@ -61,7 +61,6 @@ class AxisCheck:
     axis: str
     scale: float | None  # gyro over slope, with its sign; None where the axis hardly moved or both do not agree
     delay_s: float | None  # how much later the gyro is stamped; None likewise
-    correlation: float  # of both at that delay; 0 where the axis hardly moved
     verdict: str  # one phrase
 
 
@@ -98,15 +97,14 @@ def _axis_check(name: str, slope: FloatArray, shifted: FloatArray) -> AxisCheck:
     slope = slope - slope.mean()
     gyro = shifted - shifted.mean(axis=1, keepdims=True)
     if slope.std() < LEAST_MOTION:
-        return AxisCheck(name, None, None, 0.0, "hardly moved: turn it by hand, or fly")
+        return AxisCheck(name, None, None, "hardly moved: turn it by hand, or fly")
     norms = np.sqrt((gyro**2).sum(axis=1) * (slope**2).sum())
     correlation = np.divide(gyro @ slope, norms, out=np.zeros(len(gyro)), where=norms > 0)
     best = int(np.argmax(np.abs(correlation)))
-    found = float(correlation[best])
-    if abs(found) < SURE:
-        return AxisCheck(name, None, None, found, "does not follow the attitude: another axis, or a poor clock")
+    if abs(correlation[best]) < SURE:
+        return AxisCheck(name, None, None, "does not follow the attitude: another axis, or a poor clock")
     scale, delay_s = float(gyro[best] @ slope / (slope @ slope)), float(LAGS_S[best])
-    return AxisCheck(name, scale, delay_s, found, _verdict(scale))
+    return AxisCheck(name, scale, delay_s, _verdict(scale))
 
 
 def _verdict(scale: float) -> str:

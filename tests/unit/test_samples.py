@@ -303,7 +303,6 @@ def test_no_payload_raises(messages: list[int], seed: int) -> None:
     for profile in PROFILES.values():
         state = SampleState()
         telemetry = SampleDecoder(profile).step(state, frames)
-        assert state.dropped >= 0
         assert all(np.isfinite(s.values).all() for s in telemetry.series if s.signal is not Signal.ROTOR_SPEED)
     found, reason = detect_profile(Evidence().take(frames_of(frames)))
     assert (found is None) == (reason != "")
