@@ -24,7 +24,7 @@ from mavdiag.errors import UsageError
 from mavdiag.jit import cached_loop, inline
 from mavdiag.link.datagrams import Bytes, Datagrams
 from mavdiag.link.messages import Component, MessageId, Severity
-from mavdiag.link.sequence import FRAME, HEARD, PLAIN, REFUSED, LinkCount, Senders, Source
+from mavdiag.link.sequence import FRAME, HEARD, PLAIN, REFUSED, LinkCount, Senders
 from mavdiag.link.signing import SEAL_BYTES, SIGNED_FLAG, Signing
 from mavdiag.telemetry import BoolArray, IntArray
 from mavdiag.units import NS_PER_US
@@ -401,13 +401,13 @@ class Decoder:
         """Bytes that are in no frame, nor in the time stamp of one."""
         return self.size - self._sound
 
-    def feed(self, data: bytes, host_ns: int = 0, source: Source = None, *, last: bool = False) -> Frames:
+    def feed(self, data: bytes, host_ns: int = 0, *, last: bool = False) -> Frames:
         """Take the next bytes of a stream, received at `host_ns`. A frame may span calls, wherever they cut it.
 
-        source: where the bytes come from. last: nothing follows them.
+        last: nothing follows them.
         """
         buffer = self._pending + data if self._pending else data
-        chunk = np.array([[len(buffer)], [host_ns], self.heard.numbers((source,))], np.int64)
+        chunk = np.array([[len(buffer)], [host_ns], self.heard.numbers((None,))], np.int64)
         frames, used = self._scan(np.frombuffer(buffer, np.uint8), chunk, whole=last)
         self._pending = buffer[used:]
         return frames
@@ -415,11 +415,10 @@ class Decoder:
     def take(self, some: Datagrams, *, datagrams: bool = True) -> Frames:
         """Take what an endpoint brought. What a datagram leaves unfinished is garbage and does not spoil the next one.
 
-        datagrams: as of the endpoint; else the chunks are those of a stream.
+        datagrams: as of the endpoint; else the chunks are of one stream, or of several ends and cut between frames.
         """
-        if not datagrams:
-            chunks = zip(some, some.sources, strict=True)
-            return frames_joined([self.feed(data, host_ns, source) for (data, host_ns), source in chunks])
+        if not datagrams and set(some.peers) == {None}:
+            return frames_joined([self.feed(*chunk) for chunk in some])
         numbers = np.array(self.heard.numbers(some.peers), np.int64)[some.whose]
         return self._scan(some.data, np.array([some.sizes, some.host_ns, numbers]), whole=True)[0]
 
