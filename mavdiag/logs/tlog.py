@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from mavdiag.airframe.vehicle_type import refusal
 from mavdiag.errors import InputError
 from mavdiag.link.clock import LEAPS
-from mavdiag.link.codec import AUTOPILOT, STAMP_BYTES, Decoder, Frame, Frames
+from mavdiag.link.codec import AUTOPILOT, STAMP_BYTES, Decoder, Frames
 from mavdiag.link.messages import MessageId
 from mavdiag.link.parameters import parameters_in
 from mavdiag.link.profiles import IMU_MESSAGES, PROFILES, Evidence, detect_profile, profile_named
@@ -54,7 +54,6 @@ class TlogContent:
 
     pieces: list[_Piece]  # frames that any profile reads, of all senders, in order
     systems: Mapping[int, Evidence]  # by system id
-    parameters: Mapping[int, list[Frame]]  # what they told of them, by system id
     span_ns: int  # from the earliest of these frames to the latest
     size: int  # bytes of the file
     records: int  # sound frames of any kind
@@ -96,16 +95,14 @@ def decode_tlog(windows: Iterable[bytes]) -> TlogContent:
     Never raises by itself: what is damaged is skipped and counted.
     """
     decoder = Decoder(_WANTED, stamped=True)
-    systems, parameters = defaultdict[int, Evidence](Evidence), defaultdict[int, list[Frame]](list)
+    systems = defaultdict[int, Evidence](Evidence)
     seen_ns, kept, places = list[int](), Column(np.empty(0, PLAIN)), list[tuple[int, int, int]]()
     for window, last in chain(zip(windows, repeat(False)), ((b"", True),)):
         at, frames = decoder.size, decoder.feed(window, last=last)
         if not len(frames):
             continue
         for sysid in np.flatnonzero(np.bincount(frames.rows["sender"] >> 8)).tolist():
-            own = _of_system(frames, sysid)
-            systems[sysid].take(own)
-            parameters[sysid] += own.of(MessageId.PARAM_VALUE)
+            systems[sysid].take(_of_system(frames, sysid))
         seen_ns += [int(frames.rows["host_ns"].min()), int(frames.rows["host_ns"].max())]
         kept.add(frames.rows.view(PLAIN))
         places.append((len(frames), at, len(frames.data)))
@@ -113,7 +110,7 @@ def decode_tlog(windows: Iterable[bytes]) -> TlogContent:
     pieces = [_Piece(rows, at, size) for rows, (_, at, size) in zip(cut, places, strict=False)]
     span_ns = max(seen_ns, default=0) - min(seen_ns, default=0)
     totals = (decoder.size, decoder.records, decoder.garbage_bytes, decoder.senders, decoder.size - decoder.sound_end)
-    return TlogContent(pieces, systems, parameters, span_ns, *totals)
+    return TlogContent(pieces, systems, span_ns, *totals)
 
 
 def read_tlog(path: Path, vehicle: int | None = None, profile: str | None = None) -> Log:
@@ -160,7 +157,7 @@ def _flights(path: Path, profile: str | None, vehicle: int | None, *, several: b
             raise InputError(f"{path}: vehicle {sysid}: {why}; {remedy}")
         stream = VehicleStream(known)
         pieces = content.pieces if sysid == sysids[-1] else content.pieces.copy()
-        parameters = parameters_in(content.parameters[sysid], known.autopilot)
+        parameters = parameters_in(system.parameters, known.autopilot)
         stream.state.take_parameters(parameters)
         telemetry = joined(_converted(path, pieces, sysid, stream))
         name = path.name if len(sysids) == 1 else f"{path.name} vehicle {sysid}"
