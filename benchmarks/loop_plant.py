@@ -54,7 +54,7 @@ class Controller:
 
     def feed(self, data: bytes) -> list[bytes]:
         """Take a message of the plant; the motors follow each HIL_STATE_QUATERNION."""
-        return [controls for frame in self._decoder.feed_datagram(data, 0) for controls in self._hear(frame)]
+        return [controls for frame in self._decoder.feed(data) for controls in self._hear(frame)]
 
     def _hear(self, frame: Frame) -> list[bytes]:
         if frame.msgid == MessageId.HIL_SENSOR:
@@ -118,7 +118,7 @@ class LoopPlant:
 
     def _to_plant(self, messages: list[bytes]) -> None:
         for message in messages:
-            for frame in self._decoder.feed_datagram(message, 0):
+            for frame in self._decoder.feed(message):
                 self._bridge.hear(frame)
 
     def _watch(self, samples: PlantSamples, changes: object) -> None:

@@ -168,7 +168,7 @@ class Requests:
         Of what is asked of a vehicle's detector `REQUESTS_MAX` at most are answered.
         """
         some, asked, done = as_columns([(message, now.ns) for message in messages]), Counter[int](), list[Handled]()
-        frames, passed = self._decoder.take_datagrams(some), list[tuple[bytes, ...]](zip(messages, strict=True))
+        frames, passed = self._decoder.take(some), list[tuple[bytes, ...]](zip(messages, strict=True))
         places = np.searchsorted(np.cumsum(some.sizes), frames.rows["begin"], "right")
         for place, frame in zip(places.tolist(), frames, strict=True):
             to = _STICKS_TO.get(frame.msgid)

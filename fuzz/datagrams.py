@@ -24,7 +24,7 @@ from detector.config import SessionSettings
 from detector.fleet import Fleet
 from detector.states import State
 from detector.values import EventOpened, SendText, SessionSpec
-from mavdiag.link.codec import Decoder, Encoder
+from mavdiag.link.codec import Encoder, layout_of
 from mavdiag.link.datagrams import as_columns
 from mavdiag.link.messages import MessageId, Severity
 from mavdiag.link.samples import SOURCES
@@ -62,7 +62,7 @@ class Source:
     def __init__(self, seed: int, spoof: bool) -> None:
         self._rng, self._spoof = np.random.default_rng(seed), spoof
         blank = Encoder(1, 1)
-        self._sizes = {msgid: len(Decoder().feed(blank.encode_payload(msgid, b"\0"), 0)[0].payload) for msgid in IDS}
+        self._sizes = {msgid: layout_of(msgid).packer.size for msgid in IDS}
         self._seen = [blank.encode_payload(msgid, b"\0") for msgid in IDS]
 
     def datagrams(self, count: int, genuine: list[bytes]) -> Iterator[bytes]:

@@ -73,14 +73,13 @@ class Link:
         self.schedule = dialect.schedule(rate_hz, rotors, fresh)
         self._signing = signing
         self._encoder = Encoder(dialect.sysid, Component.AUTOPILOT1, signing)
-        decoder = Decoder(signing=signing)
-        self._decode = decoder.feed_datagram if endpoint.datagrams else decoder.feed
+        self._decoder = Decoder(signing=signing)
         self._senders: dict[tuple[int, int], Encoder] = {}
         self._waiting: deque[Message] = deque()
 
     def receive(self) -> list[Frame]:
         """What came in since the last time."""
-        return [frame for data, host_ns in self.endpoint.receive(0.0) for frame in self._decode(data, host_ns)]
+        return list(self._decoder.take(self.endpoint.receive(0.0), datagrams=self.endpoint.datagrams))
 
     def queue(self, filtered: FilteredSamples, dialect: Dialect) -> None:
         """Make the messages of a block; they wait for their time."""

@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 
 from mavdiag.errors import UsageError
 from mavdiag.jit import cached_loop, inline
-from mavdiag.link.datagrams import Bytes, Datagrams, as_columns
+from mavdiag.link.datagrams import Bytes, Datagrams
 from mavdiag.link.messages import Component, MessageId, Severity
-from mavdiag.link.sequence import FRAME, HEARD, PLAIN, REFUSED, LinkCount, Senders, Source
+from mavdiag.link.sequence import FRAME, HEARD, PLAIN, REFUSED, LinkCount, Senders
 from mavdiag.link.signing import SEAL_BYTES, SIGNED_FLAG, Signing
 from mavdiag.telemetry import BoolArray, IntArray
 from mavdiag.units import NS_PER_US
@@ -150,51 +150,34 @@ def cut(text: str, size: int) -> bytes:
     return text.encode()[:size].decode(errors="ignore").encode()
 
 
-_TYPES = {"char": "s", "uint8_t": "B", "int16_t": "h", "uint16_t": "H", "int32_t": "i", "uint32_t": "I"}
-_TYPES |= {"uint64_t": "Q", "float": "f"}
-
-
-def defined(name: str, *fields: str) -> Layout:
-    """The layout of a message by its definition, without extensions.
-
-    Fields travel by falling size of their type; the seed is the checksum of their names and types.
-
-    >>> defined("ESC_STATUS", "uint8_t index", "uint64_t time_usec", "int32_t rpm[4]").order
-    (1, 2, 0)
-    """
-    parts = (re.fullmatch(r"(\w+) (\w+)(?:\[(\d+)\])?", text) for text in fields)
-    declared = [(_TYPES[part[1]], int(part[3] or 0), part[1], part[2]) for part in parts if part]
-    order = sorted(range(len(declared)), key=lambda index: -struct.calcsize(declared[index][0]))
-    crc = mcrf4xx(f"{name} ".encode())
-    for _, count, kind, field in (declared[index] for index in order):
-        crc = mcrf4xx(f"{kind} {field} ".encode() + bytes([count] if count else []), crc)
-    return Layout(
-        name,
-        tuple(field for *_, field in declared),
-        tuple(1 if code == "s" else count or 1 for code, count, *_ in declared),
-        tuple(order),
-        struct.Struct("<" + "".join(f"{declared[index][1] or 1}{declared[index][0]}" for index in order)),
-        bytes([crc & 0xFF ^ crc >> 8]),
-    )
-
-
-_ROTORS = ("int32_t rpm[4]", "float voltage[4]", "float current[4]")
-_VERSIONS = ("uint16_t version", "uint16_t min_version", "uint16_t max_version")
-_HASHES = ("uint8_t spec_version_hash[8]", "uint8_t library_version_hash[8]")
-_MODES = ("uint8_t number_modes", "uint8_t mode_index", "uint8_t standard_mode")
-_MODE = ("uint32_t custom_mode", "uint32_t properties", "char mode_name[35]")
-_TIMES = ("uint64_t capabilities", "uint32_t time_boot_ms", "uint32_t time_manufacture_s")
-_NAMES = (
-    *("char vendor_name[32]", "char model_name[32]"),
-    *("char software_version[24]", "char hardware_version[24]", "char serial_number[32]"),
+_ESC = ("index", "time_usec", "rpm", "voltage", "current")
+_VERSION = ("version", "min_version", "max_version", "spec_version_hash", "library_version_hash")
+_BASIC = (
+    "capabilities",
+    "time_boot_ms",
+    "time_manufacture_s",
+    "vendor_name",
+    "model_name",
+    "software_version",
+    "hardware_version",
+    "serial_number",
 )
+_MODE = ("number_modes", "mode_index", "standard_mode", "custom_mode", "properties", "mode_name")
 
-#: Messages of common.xml that the dialect shipped with pymavlink 2.4 leaves out.
+#: Messages of common.xml that the dialect shipped with pymavlink 2.4 leaves out, as its generator would make them.
 EXTRA_LAYOUTS: Mapping[int, Layout] = {
-    MessageId.ESC_STATUS: defined("ESC_STATUS", "uint8_t index", "uint64_t time_usec", *_ROTORS),
-    MessageId.PROTOCOL_VERSION: defined("PROTOCOL_VERSION", *_VERSIONS, *_HASHES),
-    MessageId.COMPONENT_INFORMATION_BASIC: defined("COMPONENT_INFORMATION_BASIC", *_TIMES, *_NAMES),
-    MessageId.AVAILABLE_MODES: defined("AVAILABLE_MODES", *_MODES, *_MODE),
+    MessageId.ESC_STATUS: Layout(
+        "ESC_STATUS", _ESC, (1, 1, 4, 4, 4), (1, 2, 3, 4, 0), struct.Struct("<Q4i4f4fB"), b"\x0a"
+    ),
+    MessageId.PROTOCOL_VERSION: Layout(
+        "PROTOCOL_VERSION", _VERSION, (1, 1, 1, 8, 8), (0, 1, 2, 3, 4), struct.Struct("<3H8B8B"), b"\xd9"
+    ),
+    MessageId.COMPONENT_INFORMATION_BASIC: Layout(
+        "COMPONENT_INFORMATION_BASIC", _BASIC, (1,) * 8, tuple(range(8)), struct.Struct("<Q2I32s32s24s24s32s"), b"\x32"
+    ),
+    MessageId.AVAILABLE_MODES: Layout(
+        "AVAILABLE_MODES", _MODE, (1,) * 6, (3, 4, 0, 1, 2, 5), struct.Struct("<2I3B35s"), b"\x86"
+    ),
 }
 
 
@@ -276,9 +259,7 @@ def field_index(msgid: int, name: str) -> int:
 
 
 def frame_length(data: bytes, start: int) -> int | None:
-    """Bytes of the frame that starts here (1 for a byte that starts none), None if too few are there to say."""
-    if data[start] not in (_V1, _V2):
-        return 1
+    """Bytes of the frame that starts here with its marker, None if too few are there to say."""
     if len(data) < start + 3:
         return None
     if data[start] == _V1:
@@ -422,24 +403,24 @@ class Decoder:
         """Bytes that are in no frame, nor in the time stamp of one."""
         return self.size - self._sound
 
-    def feed(self, data: bytes, host_ns: int) -> list[Frame]:
-        """Take the next bytes of a stream, received at `host_ns`. A frame may span calls, wherever they cut it."""
-        return list(self.take_stream(data, host_ns))
+    def feed(self, data: bytes, host_ns: int = 0, *, last: bool = False) -> Frames:
+        """Take the next bytes of a stream, received at `host_ns`. A frame may span calls, wherever they cut it.
 
-    def feed_datagram(self, data: bytes, host_ns: int) -> list[Frame]:
-        """Take one datagram: what it leaves unfinished is garbage and does not spoil the next one."""
-        return list(self.take_datagrams(as_columns([(data, host_ns)])))
-
-    def take_stream(self, data: bytes, host_ns: int = 0, source: Source = None, *, last: bool = False) -> Frames:
-        """As `feed`, for many frames. source: where the bytes come from. last: nothing follows them."""
+        last: nothing follows them.
+        """
         buffer = self._pending + data if self._pending else data
-        chunk = np.array([[len(buffer)], [host_ns], self.heard.numbers((source,))], np.int64)
+        chunk = np.array([[len(buffer)], [host_ns], self.heard.numbers((None,))], np.int64)
         frames, used = self._scan(np.frombuffer(buffer, np.uint8), chunk, whole=last)
         self._pending = buffer[used:]
         return frames
 
-    def take_datagrams(self, some: Datagrams) -> Frames:
-        """As `feed_datagram`, for many datagrams."""
+    def take(self, some: Datagrams, *, datagrams: bool = True) -> Frames:
+        """Take what an endpoint brought. What a datagram leaves unfinished is garbage and does not spoil the next one.
+
+        datagrams: as of the endpoint; else the chunks are of one stream, or of several ends and cut between frames.
+        """
+        if not datagrams and set(some.peers) == {None}:
+            return frames_joined([self.feed(*chunk) for chunk in some])
         numbers = np.array(self.heard.numbers(some.peers), np.int64)[some.whose]
         return self._scan(some.data, np.array([some.sizes, some.host_ns, numbers]), whole=True)[0]
 

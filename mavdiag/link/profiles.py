@@ -14,7 +14,7 @@ from typing import Self
 import numpy as np
 
 from mavdiag.errors import UsageError
-from mavdiag.link.codec import AUTOPILOT, Frames, layout_of, message_name
+from mavdiag.link.codec import AUTOPILOT, Frame, Frames, layout_of, message_name
 from mavdiag.link.messages import Autopilot, MavType, MessageId
 from mavdiag.link.scale import CONTRARY, scale_of
 from mavdiag.rows.gate import GateSpec
@@ -47,15 +47,17 @@ class Evidence:
     """What the frames of one vehicle's autopilot show of its profile, gathered piece by piece, in order of arrival.
 
     counts: of each message. beats: of each MAV_TYPE and MAV_AUTOPILOT in its heartbeats, not a station's or computer's.
+    parameters: its PARAM_VALUEs.
     """
 
     def __init__(self) -> None:
         self.counts, self.beats = Counter[int](), Counter[tuple[int, int]]()
-        self._raw = np.empty(0, _RAW_IMU)
+        self.parameters, self._raw = list[Frame](), np.empty(0, _RAW_IMU)
 
     def take(self, frames: Frames) -> Self:
         """Take in the next frames; returns itself."""
         self.counts += frames.counts()
+        self.parameters += frames.of(MessageId.PARAM_VALUE, compid=AUTOPILOT)
         record = frames.of(MessageId.HEARTBEAT, compid=AUTOPILOT).records(_HEARTBEAT)
         for kind, autopilot in zip(*(record[name].tolist() for name in _BEAT), strict=True):
             if kind not in (MavType.GCS, MavType.ONBOARD_CONTROLLER) and autopilot != Autopilot.INVALID:

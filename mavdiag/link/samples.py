@@ -137,10 +137,9 @@ def sources(profile: Profile, table: Iterable[Source] = SOURCES) -> tuple[Source
     return tuple({row.message: row for row in read}.values())
 
 
-# What one vehicle's conversion carries on: the rotors' latest known speeds [rad/s], NaN for unknown; rows with NaN,
-# infinity or no quaternion; when the latest armed heartbeat was received; disarmed ones amid armed ones, left out; and
-# how its outputs are known to be DShot.
-_MEMORY = np.dtype([("speeds", "f8", ROTORS), *((name, "i8") for name in ("dropped", "armed_ns", "contrary", "dshot"))])
+# What one vehicle's conversion carries on: the rotors' latest known speeds [rad/s], NaN for unknown; when the latest
+# armed heartbeat was received; disarmed ones amid armed ones, left out; and how its outputs are known to be DShot.
+_MEMORY = np.dtype([("speeds", "f8", ROTORS), *((name, "i8") for name in ("armed_ns", "contrary", "dshot"))])
 # Of a message: bytes of its payload, `Counter`, place of its count and the bits of this in a word, and its parts.
 _SOURCE = np.dtype([(name, "i8") for name in ("length", "tick", "turn", "at", "mask", "first", "last")])
 # `Part`, with places in the payload; a rotor's number beside it is negative. kind 16: signed, 32: floating.
@@ -159,11 +158,6 @@ class SampleState:
     def take_parameters(self, parameters: Mapping[str, float]) -> None:
         """Take in what the autopilot's parameters tell of its outputs."""
         self.memory["dshot"] |= TOLD * drives_dshot(parameters)
-
-    @property
-    def dropped(self) -> int:
-        """Rows with NaN, infinity or no quaternion so far."""
-        return int(self.memory["dropped"][0])
 
     @property
     def contrary(self) -> int:
@@ -386,7 +380,6 @@ def _filled(words: Words, floats: Any, part: Any, host_ns: int, memory: Any, out
         for k in range(part.width):
             out[k] = part.unit * _number(words, floats, part.at + part.size * k, part)
             sound = sound and math.isfinite(out[k])
-    memory.dropped += int(not sound)
     return sound
 
 

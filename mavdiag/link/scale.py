@@ -66,7 +66,6 @@ class AxisCheck:
     axis: str
     scale: float | None  # gyro over slope, with its sign; None where the axis hardly moved or both do not agree
     delay_s: float | None  # how much later the gyro is stamped; None likewise
-    correlation: float  # of both at that delay; 0 where the axis hardly moved
     verdict: str  # one phrase
 
 
@@ -110,15 +109,15 @@ def _axis_check(name: str, slope: FloatArray, shifted: FloatArray) -> AxisCheck:
     slope = slope - slope.mean()
     gyro = shifted - shifted.mean(axis=1, keepdims=True)
     if slope.std() < LEAST_MOTION:
-        return AxisCheck(name, None, None, 0.0, "hardly moved: turn it by hand, or fly")
+        return AxisCheck(name, None, None, "hardly moved: turn it by hand, or fly")
     norms = np.sqrt((gyro**2).sum(axis=1) * (slope**2).sum())
     correlation = np.divide(gyro @ slope, norms, out=np.zeros(len(gyro)), where=norms > 0)
     best = int(np.argmax(np.abs(correlation)))
     found = float(correlation[best])
     if abs(found) < SURE:
-        return AxisCheck(name, None, None, found, "does not follow the attitude: another axis, or a poor clock")
+        return AxisCheck(name, None, None, "does not follow the attitude: another axis, or a poor clock")
     scale, delay_s = math.copysign(gyro[best].std() / slope.std(), found), float(LAGS_S[best])
     named = next((f": {unit}" for one, unit in _RATES if abs(abs(scale) / one - 1.0) <= SCALE_OK), "")
     size = "right" if abs(abs(scale) - 1.0) <= SCALE_OK else f"wrong scale{named}"
     text = size if scale > 0 else f"turns the wrong way; {size.replace('right', 'scale right')}"
-    return AxisCheck(name, scale, delay_s, found, text)
+    return AxisCheck(name, scale, delay_s, text)

@@ -31,7 +31,7 @@ PINNED_S = 3.0  # a sender must be silent for so long before it may come from el
 SOURCES_MAX = 4 * SENDERS_MAX  # sources that have a number at a time
 _PINNED_NS = round(PINNED_S * NS_PER_S)
 
-REFUSED, HEARD, IMPOSTOR = 0, 1, 2  # what becomes of a frame
+REFUSED, HEARD = 0, 1  # what becomes of a frame
 _KEPT, _OURS = 1, 2  # flags of a sender
 
 #: A frame as it lies in a buffer: when it was received; the places of its marker, its payload, its checksum and behind
@@ -73,7 +73,7 @@ class LinkCount:
 
 @dataclass(frozen=True, slots=True)
 class Intruder:
-    """Another source (the latest one) that sends in a sender's name, and how many frames of it were refused."""
+    """A source (the latest one) that sends in another sender's name or in ours, and how many frames were refused."""
 
     source: Source
     frames: int
@@ -83,12 +83,10 @@ class Senders:
     """All senders of one link, at most `SENDERS_MAX`, by key: system id << 8 | component id.
 
     msgids: message of each row; the last one stands for all that are unknown.
-    impostors: who sent in a name that is ours, by key.
     """
 
     def __init__(self, msgids: Sequence[int] = (0,)) -> None:
         self._msgids = msgids
-        self.impostors: dict[int, Intruder] = {}
         # Most of these pages are never touched, and cost nothing.
         self._senders, self._seen = np.zeros(SENDERS_MAX, _SENDER), np.zeros((SENDERS_MAX, len(msgids)), np.int64)
         self._places, self._flags = np.zeros(1 << 16, np.uint16), np.zeros(1 << 16, np.uint8)
@@ -126,21 +124,16 @@ class Senders:
         """
         done, memory = 0, (self._senders, self._seen, self._places, self._flags)
         while True:
-            done, self._used, odd = _hear(data, rows, done, *memory, self._used)
+            done, self._used = _hear(data, rows, done, *memory, self._used)
             if done >= len(rows):
                 break
             self._make_room()
-        for row in rows[rows["heard"] == IMPOSTOR] if odd else ():
-            key, source = int(row["sender"]), self._sources[int(row["source"])]
-            before = self.impostors.get(key)
-            self.impostors[key] = Intruder(source, 1 if before is None else before.frames + 1)
 
     def admits(self, row: np.void) -> bool:
         """Whether the sender of a frame may come from where it came."""
         sender = self._row(int(row["sender"]))
-        if sender is None:
-            return not self._flags[row["sender"]] & _OURS
-        return bool(sender["source"] == row["source"] or row["host_ns"] - sender["heard_ns"] >= _PINNED_NS)
+        ours = bool(self._flags[row["sender"]] & _OURS)
+        return not ours if sender is None else _admits(sender, row, ours)
 
     def _make_room(self) -> None:
         received = self._senders["received"]
@@ -172,6 +165,10 @@ class Senders:
         if row is None or not row["refused"]:
             return None
         return Intruder(self._sources[int(row["intruder"])], int(row["refused"]))
+
+    def impostor(self, key: int) -> Intruder | None:
+        """Who uses a name that is ours; None if nobody does, or it is not ours."""
+        return self.intruder(key) if self._flags[key] & _OURS else None
 
     def sound(self, key: int) -> bool:
         """Whether a sender's numbers are those of one sender.
@@ -243,15 +240,12 @@ def _jump(sender: Fields, seq: int, clash: bool) -> None:
 
 
 @jit
-def _admit(sender: Fields, frame: Fields) -> bool:
-    """Whether a sender may come from there; if not, it is counted as an intruder's frame."""
-    if sender.source != frame.source:
-        if frame.host_ns - sender.heard_ns < _PINNED_NS:
-            sender.intruder = frame.source
-            sender.refused += 1
-            return False
-        sender.source = frame.source
-    return True
+def _admits(sender: Fields, frame: Fields, ours: bool) -> bool:
+    """Whether a sender may come from where a frame of it came."""
+    if ours:
+        return False
+    pinned = sender["received"] > 0 and frame["host_ns"] - sender["heard_ns"] < _PINNED_NS
+    return bool(sender["source"] == frame["source"] or not pinned)
 
 
 @cached_loop
@@ -264,25 +258,23 @@ def _hear(
     places: NDArray[np.uint16],
     flags: NDArray[np.uint8],
     used: int,
-) -> tuple[int, int, bool]:
-    """How many frames are done before there is no room for one more sender; how many senders; if any used our name."""
-    odd = False
+) -> tuple[int, int]:
+    """How many frames are done before there is no room for one more sender, and how many senders there are."""
     for k in range(first, len(rows)):
         frame = rows[k]
         frame.heard = REFUSED
         if places[frame.sender] == 0:
-            if flags[frame.sender] & _OURS:
-                frame.heard, odd = IMPOSTOR, True
-                continue
             if used == len(senders):
-                return k, used, odd
-            senders[used].key, senders[used].source, senders[used].next = frame.sender, frame.source, frame.seq
+                return k, used
+            senders[used].key, senders[used].next = frame.sender, frame.seq
             used += 1
             places[frame.sender] = used
         sender, seq = senders[places[frame.sender] - 1], 0 + frame.seq
-        if sender.received and not _admit(sender, frame):
+        if not _admits(sender, frame, flags[frame.sender] & _OURS > 0):
+            sender.intruder = frame.source
+            sender.refused += 1
             continue
-        sender.heard_ns = frame.host_ns
+        sender.source, sender.heard_ns = frame.source, frame.host_ns
         checksum = (np.int64(data[frame.stop]) | np.int64(data[frame.stop + 1]) << 8) + 1
         if seq == sender.next:
             sender.next = (seq + 1) % 256
@@ -299,4 +291,4 @@ def _hear(
         sender.received += 1
         seen[places[frame.sender] - 1, frame.row] += 1
         frame.heard = HEARD
-    return len(rows), used, odd
+    return len(rows), used

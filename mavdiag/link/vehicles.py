@@ -419,8 +419,8 @@ class LinkDecoder:
 
     def strangers(self, sysid: int) -> tuple[Intruder | None, Intruder | None]:
         """Who else sends as a vehicle's autopilot, and who in our name as its on-board computer; None for nobody."""
-        heard, ours = self.decoder.heard, sysid << 8 | Component.ONBOARD_COMPUTER
-        return heard.intruder(sysid << 8 | AUTOPILOT), heard.impostors.get(ours)
+        heard = self.decoder.heard
+        return heard.intruder(sysid << 8 | AUTOPILOT), heard.impostor(sysid << 8 | Component.ONBOARD_COMPUTER)
 
     def claim(self, sysid: int, *, ours: bool) -> None:
         """Hear nobody else as a vehicle's on-board computer, or let others be it."""
@@ -433,14 +433,10 @@ class LinkDecoder:
 
     def take(self, some: Datagrams, now_ns: int) -> None:
         """Take what `feed` does; what is for or from vehicles that have entered waits for `received`."""
-        if self._datagrams:
-            taken = [self.decoder.take_datagrams(some)]
-        else:
-            taken = [self.decoder.take_stream(*chunk, end) for chunk, end in zip(some, some.sources, strict=True)]
-        for frames in taken:
-            if len(frames):
-                self._file(frames, now_ns)
-                self._take_talk(_talk(frames))
+        frames = self.decoder.take(some, datagrams=self._datagrams)
+        if len(frames):
+            self._file(frames, now_ns)
+            self._take_talk(_talk(frames))
 
     def _file(self, frames: Frames, now_ns: int) -> None:
         """Put frames where their vehicles' wait; see which others may enter."""

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from mavdiag.link.codec import Encoder
 from mavdiag.link.messages import Autopilot, Component, MavCmd, MavType, MessageId
 from mavdiag.link.profiles import LAST_RESORT, Profile
+from mavdiag.link.samples import sources
 from mavdiag.link.signing import Signing
 from mavdiag.telemetry import Instant, Signal
 
@@ -33,6 +34,7 @@ LABELS: Mapping[Signal, str] = {
     Signal.SPECIFIC_FORCE: "accelerometer",
     Signal.ATTITUDE_SETPOINT: "set-points",
     Signal.THRUST_SETPOINT: "thrust set-point",
+    Signal.RATE_SETPOINT: "rate set-points",
     Signal.ACTUATOR: "actuator outputs",
     Signal.VIBRATION: "VIBRATION",
     Signal.ROTOR_SPEED: "rotor speeds",
@@ -78,19 +80,14 @@ def wants_of(
     return (*targets, gyro, *(Want(signal, messages[signal], *_SLOW[signal]) for signal in slow))
 
 
-def messages_of(profile: Profile) -> dict[Signal, MessageId]:
-    """The message that each signal comes by; a signal that the link does not carry is absent."""
-    targets = (Signal.ATTITUDE_SETPOINT, Signal.THRUST_SETPOINT, Signal.RATE_SETPOINT)
-    messages = {
-        Signal.BODY_RATE: profile.imu,
-        **dict.fromkeys(targets, profile.setpoint),
-        Signal.ACTUATOR: profile.actuator,
-        Signal.ROTOR_SPEED: profile.rotor_speed,
-        Signal.ATTITUDE: MessageId.ATTITUDE,
-    }
-    if profile.vibration:
-        messages[Signal.VIBRATION] = MessageId.VIBRATION
-    return messages if profile.imu == LAST_RESORT else messages | {Signal.SPECIFIC_FORCE: profile.imu}
+def messages_of(profile: Profile) -> dict[Signal, int]:
+    """The message that each signal in `LABELS` comes by, of several the first; one that comes by none is absent."""
+    found = dict[Signal, int]()
+    for source in sources(profile):
+        for part in source.parts:
+            if part.signal in LABELS:
+                found.setdefault(part.signal, source.message)
+    return found
 
 
 _ON_REQUEST = "a request of mavdiag-detector or `mavdiag inspect --ask`, which must reach the vehicle"

@@ -357,11 +357,10 @@ def _rotor_speeds(tables: Tables, motors: Sequence[int], parameters: Mapping[str
     t_ns, numbers, speeds = t_ns[order], numbers[order], np.abs(speeds[order]) * RPM
     values = np.full((len(t_ns), len(motors) or min(int(numbers.max()), MAX_CHANNELS)), np.nan)
     for column in range(values.shape[1]):
-        own = np.flatnonzero(numbers == (motors[column] if motors else column + 1))
-        last = np.searchsorted(own, np.arange(len(t_ns)), side="right") - 1
-        known = np.flatnonzero(last >= 0)
-        fresh = known[t_ns[known] - t_ns[own[last[known]]] <= ESC_HOLDS_S * NS_PER_S]
-        values[fresh, column] = speeds[own[last[fresh]]]
+        own = numbers == (motors[column] if motors else column + 1)
+        last = np.maximum.accumulate(np.where(own, np.arange(len(t_ns)), -1))
+        fresh = (last >= 0) & (t_ns - t_ns[last] <= ESC_HOLDS_S * NS_PER_S)
+        values[fresh, column] = speeds[last[fresh]]
     return (recorded(Signal.ROTOR_SPEED, t_ns, values),) if np.isfinite(values).any() else ()
 
 

@@ -241,8 +241,7 @@ def _fit(x: FloatArray, y: FloatArray) -> tuple[float, float]:
     known = np.isfinite(x) & np.isfinite(y)
     if int(known.sum()) < 3:
         return 0.0, 0.0
-    dx, dy = x[known] - x[known].mean(), y[known] - y[known].mean()
-    xx, yy, xy = float(dx @ dx), float(dy @ dy), float(dx @ dy)
+    (xx, xy), (_, yy) = np.cov(x[known], y[known]).tolist()
     if not (xx > 0 and yy > 0 and np.isfinite(xx * yy)):
         return 0.0, 0.0
     return xy / xx, xy / float(np.sqrt(xx * yy))

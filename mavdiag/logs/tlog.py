@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 from mavdiag.airframe.vehicle_type import refusal
 from mavdiag.errors import InputError
 from mavdiag.link.clock import LEAPS
-from mavdiag.link.codec import AUTOPILOT, STAMP_BYTES, Decoder, Frame, Frames
-from mavdiag.link.datagrams import Bytes
+from mavdiag.link.codec import AUTOPILOT, STAMP_BYTES, Decoder, Frames
 from mavdiag.link.messages import MessageId
 from mavdiag.link.parameters import parameters_in
 from mavdiag.link.profiles import IMU_MESSAGES, PROFILES, Evidence, detect_profile, profile_named
@@ -40,8 +39,6 @@ _WANTED = frozenset({*IMU_MESSAGES, MessageId.PARAM_VALUE}).union(
     *(SampleDecoder(profile).wanted for profile in PROFILES.values())
 )
 
-_NO_BYTES = np.empty(0, np.uint8)
-
 
 class _Piece(NamedTuple):
     """Frames of a log, without the bytes that they lie in: where these begin, and how many they are."""
@@ -56,9 +53,7 @@ class TlogContent:
     """What a telemetry log holds."""
 
     pieces: list[_Piece]  # frames that any profile reads, of all senders, in order
-    latest: Bytes  # that the last piece lies in: a short log is read once
     systems: Mapping[int, Evidence]  # by system id
-    parameters: Mapping[int, list[Frame]]  # what they told of them, by system id
     span_ns: int  # from the earliest of these frames to the latest
     size: int  # bytes of the file
     records: int  # sound frames of any kind
@@ -100,25 +95,22 @@ def decode_tlog(windows: Iterable[bytes]) -> TlogContent:
     Never raises by itself: what is damaged is skipped and counted.
     """
     decoder = Decoder(_WANTED, stamped=True)
-    systems, parameters = defaultdict[int, Evidence](Evidence), defaultdict[int, list[Frame]](list)
-    seen_ns, kept, places, data = list[int](), Column(np.empty(0, PLAIN)), list[tuple[int, int, int]](), _NO_BYTES
+    systems = defaultdict[int, Evidence](Evidence)
+    seen_ns, kept, places = list[int](), Column(np.empty(0, PLAIN)), list[tuple[int, int, int]]()
     for window, last in chain(zip(windows, repeat(False)), ((b"", True),)):
-        at, frames = decoder.size, decoder.take_stream(window, last=last)
+        at, frames = decoder.size, decoder.feed(window, last=last)
         if not len(frames):
             continue
         for sysid in np.flatnonzero(np.bincount(frames.rows["sender"] >> 8)).tolist():
-            own = _of_system(frames, sysid)
-            systems[sysid].take(own)
-            parameters[sysid] += own.of(MessageId.PARAM_VALUE)
+            systems[sysid].take(_of_system(frames, sysid))
         seen_ns += [int(frames.rows["host_ns"].min()), int(frames.rows["host_ns"].max())]
         kept.add(frames.rows.view(PLAIN))
-        data = frames.data
-        places.append((len(frames), at, len(data)))
+        places.append((len(frames), at, len(frames.data)))
     cut = np.split(kept.whole().view(FRAME), np.cumsum([count for count, *_ in places])[:-1])
     pieces = [_Piece(rows, at, size) for rows, (_, at, size) in zip(cut, places, strict=False)]
     span_ns = max(seen_ns, default=0) - min(seen_ns, default=0)
     totals = (decoder.size, decoder.records, decoder.garbage_bytes, decoder.senders, decoder.size - decoder.sound_end)
-    return TlogContent(pieces, data, systems, parameters, span_ns, *totals)
+    return TlogContent(pieces, systems, span_ns, *totals)
 
 
 def read_tlog(path: Path, vehicle: int | None = None, profile: str | None = None) -> Log:
@@ -149,7 +141,7 @@ def _flights(path: Path, profile: str | None, vehicle: int | None, *, several: b
     if content.damaged_bytes > DAMAGED_SHARE * content.size:
         plain, share = Decoder(()), round(100 * content.damaged_bytes / content.size)
         for window in windows_of(path, PIECE_BYTES, TLOG_BYTES):
-            plain.take_stream(window)
+            plain.feed(window)
         if plain.garbage_bytes <= DAMAGED_SHARE * content.size:
             raise InputError(f"{path}: its frames have no time stamps (as in MAVProxy's .raw); take its .tlog")
         raise InputError(f"{path}: {share} % of the file is damaged, or it is no telemetry log; get a sound copy")
@@ -165,9 +157,9 @@ def _flights(path: Path, profile: str | None, vehicle: int | None, *, several: b
             raise InputError(f"{path}: vehicle {sysid}: {why}; {remedy}")
         stream = VehicleStream(known)
         pieces = content.pieces if sysid == sysids[-1] else content.pieces.copy()
-        parameters = parameters_in(content.parameters[sysid], known.autopilot)
+        parameters = parameters_in(system.parameters, known.autopilot)
         stream.state.take_parameters(parameters)
-        telemetry = joined(_converted(path, pieces, content.latest, sysid, stream))
+        telemetry = joined(_converted(path, pieces, sysid, stream))
         name = path.name if len(sysids) == 1 else f"{path.name} vehicle {sysid}"
         leaps = [f"{n} samples are left out: their stamps leap"] if (n := stream.state.timeline.leaps) >= LEAPS else []
         dated = ((x.t_ns[k], x.host_ns[k]) for x in telemetry for k in np.flatnonzero(x.host_ns > EARLIEST_NS)[:1])
@@ -198,16 +190,14 @@ def _summed(path: Path, update: Callable[[bytes], None]) -> Iterator[bytes]:
         yield window
 
 
-def _converted(
-    path: Path, pieces: list[_Piece], latest: Bytes, sysid: int, stream: VehicleStream
-) -> Iterator[Telemetry]:
-    """The telemetry of one vehicle, piece by piece; uses the pieces up. latest: the bytes of the last one."""
+def _converted(path: Path, pieces: list[_Piece], sysid: int, stream: VehicleStream) -> Iterator[Telemetry]:
+    """The telemetry of one vehicle, piece by piece; uses the pieces up."""
     pieces.reverse()
     with open_regular(path, TLOG_BYTES) as file:
         while pieces:
             rows, at, size = pieces.pop()
             file.seek(at)
-            data = np.frombuffer(file.read(size), np.uint8) if pieces else latest
+            data = np.frombuffer(file.read(size), np.uint8)
             if len(data) < size:
                 raise InputError(f"{path}: it became shorter while it was read; read it again")
             own = _of_system(Frames(data, rows), sysid)
@@ -228,7 +218,7 @@ def _names(sysids: Iterable[int]) -> str:
 def _recognise(head: bytes) -> bool:
     """Whether a marker of MAVLink stands behind a time stamp at its beginning, or a sound frame behind damage."""
     stamped = head[:1] == b"\0" and head[STAMP_BYTES : STAMP_BYTES + 1] in (b"\xfd", b"\xfe")
-    return stamped or len(Decoder().take_stream(head, last=True)) > 0
+    return stamped or len(Decoder().feed(head, last=True)) > 0
 
 
 KIND = LogKind("tlog", _recognise, read_tlog)

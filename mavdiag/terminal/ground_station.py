@@ -130,10 +130,8 @@ class GroundStation:
             self.endpoint.send(self._encoder.encode(MessageId.HEARTBEAT, *beat))
         wait([self.endpoint], timeout_s)
         chunks = self.endpoint.receive(0.0)
-        decode = self._decoder.feed_datagram if self.endpoint.datagrams else self._decoder.feed
-        for data, host_ns in chunks:
-            for frame in decode(data, host_ns):
-                self._take(frame, fresh)
+        for frame in self._decoder.take(chunks, datagrams=self.endpoint.datagrams):
+            self._take(frame, fresh)
         if self.judge is not None:
             telemetry, stream = self.link.take(chunks, time.monotonic_ns()), self.link.stream
             if telemetry.series and stream is not None:

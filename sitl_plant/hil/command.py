@@ -186,15 +186,13 @@ def _serve_mavlink(asked: HilOptions, address: str, rate_hz: float, *, period_s:
     outputs, peer = output_map(asked.config.vehicle, "px4"), "a flight controller" if hardware else "PX4"
     with asked.serving(address, "px4-hil", rate_hz, peer, outputs) as (endpoint, simulation, goes_on):
         bridge, decoder, started_s = Bridge(simulation, outputs, rate_hz), Decoder(WANTED), time.monotonic()
-        feed = decoder.feed_datagram if endpoint.datagrams else decoder.feed
         flying, told, next_s = False, False, 0.0
         sent_s: float | None = None  # when the last sensor message went out
         while goes_on():
             flying = flying and endpoint.connected
             wait_s = _left_s(bridge, sent_s, next_s, lockstep=not hardware) if flying else POLL_S
-            for data, host_ns in endpoint.receive(wait_s):
-                for frame in feed(data, host_ns):
-                    bridge.hear(frame)
+            for frame in decoder.take(endpoint.receive(wait_s), datagrams=endpoint.datagrams):
+                bridge.hear(frame)
             if not flying and endpoint.connected:
                 if sent_s is not None:
                     bridge.restart()

@@ -167,8 +167,7 @@ def test_the_genuine_stream_is_judged_all_along(name: str, calm_s: float, tmp_pa
     assert (figures.vehicle, figures.state, figures.lost, figures.events) == (1, State.MONITORING, 0, 0)
     assert bench.daemon.fleet.link.vehicles[1].state.timeline.reboots == 0
     behind = Decoder()
-    for data, _ in bench.behind[0].receive(0.0):
-        behind.feed_datagram(data, 0)
+    behind.take(bench.behind[0].receive(0.0))
     assert behind.senders[1, 1].lost == 0
     bench.close()
     notes = [one["text"] for one in map(json.loads, journal.read_text().splitlines()) if one["kind"] == "note"]

@@ -405,7 +405,7 @@ def test_what_tells_rotors_and_filter_is_read_while_it_learns_and_nothing_is_eve
 
         def listening(timeout_s: float) -> Datagrams:
             chunks = receive(timeout_s)
-            heard.extend(frame for data, host_ns in chunks for frame in decoder.feed_datagram(data, host_ns))
+            heard.extend(decoder.take(chunks))
             return chunks
 
         with patch.object(bench.far, "receive", listening):

@@ -473,12 +473,11 @@ def heard(ends: list[Endpoint], until_disarmed: set[int]) -> list[dict[int, list
     landed = set[int]()
     while landed < until_disarmed and time.monotonic() < deadline:
         for end, own in zip(ends, found, strict=True):
-            for data, host_ns in end.receive(0.05):
-                for frame in decoder.feed_datagram(data, host_ns):
-                    armed = bool(int(frame.fields[MODE]) & ModeFlag.SAFETY_ARMED)
-                    told = own.setdefault(frame.sysid, [])
-                    landed |= {frame.sysid} if told and told[-1] and not armed else set()
-                    told.append(armed)
+            for frame in decoder.take(end.receive(0.05)):
+                armed = bool(int(frame.fields[MODE]) & ModeFlag.SAFETY_ARMED)
+                told = own.setdefault(frame.sysid, [])
+                landed |= {frame.sysid} if told and told[-1] and not armed else set()
+                told.append(armed)
     assert landed == until_disarmed
     return found
 

@@ -283,7 +283,7 @@ class PilotedVehicle(VirtualEndpoint):
         self.pilot = Pilot(profile, lambda data: self._take(Decoder().feed(data, 0)))
 
     def send(self, data: bytes) -> None:
-        self.heard += self._decoder.feed_datagram(data, 0)
+        self.heard += self._decoder.take(as_columns([(data, 0)]))
         self._near.send(data)
 
     def receive(self, timeout_s: float) -> Datagrams:

@@ -222,7 +222,7 @@ def sent(profile: str, message: MessageId, head: tuple[int, ...], low: float, hi
 
     def arrived(outputs: FloatArray) -> FloatArray:
         encoder, decoder = Encoder(1, 1), Decoder()
-        frames = decoder.feed(encoder.encode(PROFILES[profile].imu, 10_000), 10_000_000)
+        frames = list(decoder.feed(encoder.encode(PROFILES[profile].imu, 10_000), 10_000_000))
         for k, row in enumerate((low + (high - low) * np.vstack((outputs[:1] / 9, outputs))).tolist()):
             fields = (row + [0.0] * 28,) if message == MessageId.ACTUATOR_OUTPUT_STATUS else map(round, row)
             frames += decoder.feed(encoder.encode(message, 20_000 * (k + 1), *head, *fields), 20_000_000 * (k + 1))

@@ -39,7 +39,7 @@ def autopilot(n_links: int = 3, profile: str = "qdrone2") -> Autopilot:
 
 
 def frame(source: tuple[int, int], msgid: int, *fields: Argument) -> Frame:
-    return Decoder().feed(Encoder(*source).encode(msgid, *fields), 0)[0]
+    return next(iter(Decoder().feed(Encoder(*source).encode(msgid, *fields))))
 
 
 def command(source: tuple[int, int], target: tuple[int, int], number: int, *parameters: float) -> Frame:
@@ -115,7 +115,7 @@ def test_no_bytes_for_a_commanded_vehicle_raise(profile: str, messages: list[tup
     config = PlantConfig(trajectory="commanded", start="ground")
     one, encoder = Autopilot([dialect.schedule(None)], dialect, config), Encoder(*GCS)
     for msgid, payload in messages:
-        heard = Decoder().feed(encoder.encode_payload(msgid, payload), 0)[0]
+        (heard,) = Decoder().feed(encoder.encode_payload(msgid, payload))
         for action in one.step(0, heard, NOW_NS):
             assert isinstance(action, Reply)
             encoder.encode(action.msgid, *action.fields)  # can be sent
@@ -123,7 +123,7 @@ def test_no_bytes_for_a_commanded_vehicle_raise(profile: str, messages: list[tup
 
 # The mission protocol of the emulated autopilot, as a ground station speaks it
 def sent(msgid: int, *fields: Argument, source: tuple[int, int] = GCS) -> Frame:
-    return Decoder().feed(Encoder(*source).encode(msgid, *PLANT, *fields), 0)[0]
+    return frame(source, msgid, *PLANT, *fields)
 
 
 def item(seq: int, number: int = 16, z: float = 2.0) -> Frame:
@@ -259,7 +259,7 @@ def test_the_geometry_that_is_told_is_the_vehicles(profile: str, name: str) -> N
     sent = [
         Encoder(*PLANT).encode(MessageId.PARAM_VALUE, *fields) for fields in told(one, MessageId.PARAM_REQUEST_LIST)
     ]
-    frames = [Decoder().feed(data, 0)[0] for data in sent]
+    frames = [frame for data in sent for frame in Decoder().feed(data)]
     found = layout_from_parameters(parameters_in(frames, Maker.PX4 if profile == "px4" else Maker.ARDUPILOTMEGA))
     own = airframe_of(vehicle, name).layout
     assert own is not None
@@ -286,7 +286,7 @@ class Vehicle:
 
     def send(self, msgid: int, *fields: Argument) -> list[Reply]:
         """Give it a message; its answers."""
-        frame = Decoder().feed(self._encoder.encode(msgid, *fields), 0)[0]
+        (frame,) = Decoder().feed(self._encoder.encode(msgid, *fields))
         return self._note(self.autopilot.step(0, frame, self.plant.t_ns))
 
     def order(self, command: int, *parameters: float) -> int:

@@ -114,12 +114,13 @@ def unknown_frame(seq: int = 0) -> bytes:
 
 def test_frames_outside_the_dialect_are_taken_on_trust_only_before_another_frame() -> None:
     good, decoder = Encoder(1, 1).encode(MessageId.HEARTBEAT, *HEARTBEAT), Decoder()
-    assert (decoder.feed(unknown_frame(255), 0), decoder.records, len(decoder.feed(good, 0))) == ([], 0, 1)  # waits
+    assert (len(decoder.feed(unknown_frame(255))), decoder.records, len(decoder.feed(good))) == (0, 0, 1)  # waits
     assert (decoder.senders[1, 1].lost, decoder.senders[1, 1].by_message) == (0, {UNKNOWN: 1, MessageId.HEARTBEAT: 1})
     decoder = Decoder()
     assert (len(decoder.feed(unknown_frame() + b"x" + good, 0)), decoder.records) == (1, 1)
-    decoder = Decoder()
-    assert (decoder.feed_datagram(unknown_frame(), 0), decoder.records) == ([], 1)
+    decoder = Decoder()  # of two clients of a server
+    decoder.take(as_columns([(unknown_frame(), 0), (good, 0)], [(1,), (2,)]), datagrams=False)
+    assert (decoder.records, decoder.heard.source(1 << 8 | 1)) == (2, (1,))
 
 
 @pytest.mark.parametrize(
@@ -185,8 +186,8 @@ def test_datagrams_at_once_are_heard_as_one_by_one(datagrams: list[tuple[bytes, 
     sources = [source for _, _, source in datagrams]
     single, whole = Decoder(), Decoder()
     alone = (as_columns([chunk], [source]) for chunk, source in zip(chunks, sources, strict=True))
-    each = [frame for one in alone for frame in single.take_datagrams(one)]
-    assert list(whole.take_datagrams(as_columns(chunks, sources))) == each
+    each = [frame for one in alone for frame in single.take(one)]
+    assert list(whole.take(as_columns(chunks, sources))) == each
     assert (whole.garbage_bytes, whole.records) == (single.garbage_bytes, single.records)
     assert whole.senders == single.senders
     for sender in single.senders:
@@ -196,7 +197,6 @@ def test_datagrams_at_once_are_heard_as_one_by_one(datagrams: list[tuple[bytes, 
 KEY = hashlib.sha256(b"correct horse").digest()
 NOW_NS = 1_800_000_000 * 1_000_000_000
 NOW = stamp_at(NOW_NS)
-BEAT = (2, 3, 0, 0, 4, 3)
 S = 1_000_000_000
 
 
@@ -211,7 +211,7 @@ def signer(link_id: int = 0) -> dialect.MAVLink:
 
 def beats(count: int, signing: Signing, compid: int = 1) -> list[bytes]:
     encoder = Encoder(1, compid, signing)
-    return [encoder.encode(MessageId.HEARTBEAT, *BEAT) for _ in range(count)]
+    return [encoder.encode(MessageId.HEARTBEAT, *HEARTBEAT) for _ in range(count)]
 
 
 def verifier() -> tuple[Signing, Decoder]:
@@ -220,12 +220,12 @@ def verifier() -> tuple[Signing, Decoder]:
 
 
 def heard(decoder: Decoder, *datagrams: bytes) -> list[Frame]:
-    return [frame for data in datagrams for frame in decoder.feed_datagram(data, 0)]
+    return list(decoder.take(as_columns([(data, 0) for data in datagrams])))
 
 
 def test_a_heartbeat_is_sealed_as_the_specification_has_it() -> None:
     """By hand, with printf, xxd and sha256sum: link id 7, stamp 0x010203040507, the first 6 bytes of the hash."""
-    frame = Encoder(1, 1, Signing(bytes(range(32)), link_id=7, stamp=0x010203040506)).encode(0, *BEAT)
+    frame = Encoder(1, 1, Signing(bytes(range(32)), link_id=7, stamp=0x010203040506)).encode(0, 2, 3, 0, 0, 4, 3)
     body, link, stamp, signature = "fd090100000101000000000000000203000403ad2f", "07", "070504030201", "4a418387aab5"
     assert frame.hex() == body + link + stamp + signature
 
@@ -236,7 +236,7 @@ def test_what_we_sign_pymavlink_accepts_and_the_other_way_round() -> None:
         assert [message.get_type() for message in mav.parse_buffer(frame) or ()] == ["HEARTBEAT"]
     (signing, decoder), mav = verifier(), signer(link_id=9)
     for mav.seq in (k % 256 for k in range(300)):
-        theirs.append(bytes(dialect.mavlink_map[0](*BEAT).pack(mav)))
+        theirs.append(bytes(dialect.mavlink_map[0](*HEARTBEAT).pack(mav)))
     assert ([frame.seq for frame in heard(decoder, *theirs)], signing.refused) == ([k % 256 for k in range(300)], {})
 
 
@@ -260,8 +260,8 @@ def test_every_bit_of_a_signed_frame_is_protected() -> None:
 def test_unsigned_and_mavlink_1_are_refused_with_a_key() -> None:
     signing, decoder = verifier()
     (unsigned,) = beats(1, Signing(KEY, stamp=NOW))
-    plain, mav = Encoder(1, 1).encode(MessageId.HEARTBEAT, *BEAT), dialect.MAVLink(None, srcSystem=1, srcComponent=1)
-    old, unknown = bytes(dialect.mavlink_map[0](*BEAT).pack(mav, force_mavlink1=True)), bytearray(plain)
+    plain, mav = Encoder(1, 1).encode(0, *HEARTBEAT), dialect.MAVLink(None, srcSystem=1, srcComponent=1)
+    old, unknown = bytes(dialect.mavlink_map[0](*HEARTBEAT).pack(mav, force_mavlink1=True)), bytearray(plain)
     unknown[7:10] = b"\xff\xff\xff"
     assert heard(decoder, plain, old, bytes(unknown)) == []
     assert (signing.refused, decoder.senders) == ({Refusal.UNSIGNED: 2, Refusal.MAVLINK_1: 1}, {})

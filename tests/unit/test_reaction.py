@@ -22,7 +22,7 @@ from mavdiag.decision.diagnosis import Diagnosis, RotorSpan, Stage
 from mavdiag.decision.words import held_advice, held_sentence
 from mavdiag.errors import UsageError
 from mavdiag.judging import MonitorSummary
-from mavdiag.link.codec import TEXT_BYTES, Decoder, Encoder
+from mavdiag.link.codec import TEXT_BYTES, Decoder, Encoder, Frame
 from mavdiag.link.messages import Component, MavCmd, MavResult, MessageId
 from mavdiag.link.vehicles import Ack, Received, acks_in, mode_in, sticks_in
 from mavdiag.monitors import MONITORS, by_name
@@ -409,7 +409,7 @@ def test_what_is_held_and_what_to_do(held: Diagnosis, words: str, advice: str) -
 
 def test_answers_of_other_systems_and_to_others_do_not_count() -> None:
     ours = (MavCmd.NAV_LAND, MavResult.ACCEPTED, 0, 0)
-    frames = []
+    frames = list[Frame]()
     for sender, target in [((2, 1), (2, 191)), ((1, 190), (1, 191)), ((1, 1), (255, 190)), ((1, 1), (7, 191))]:
         frames += Decoder().feed(Encoder(*sender).encode(MessageId.COMMAND_ACK, *ours, *target), 0)
     # The frames of another system never reach a vehicle's session, see `LinkDecoder.received`.

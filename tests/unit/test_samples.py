@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from mavdiag.link import samples
 from mavdiag.link.clock import _BOOT_US_32, MS_32, NEVER, US_32, US_64, Counter, VehicleTime
-from mavdiag.link.codec import Decoder, Encoder, Frame, Frames, frames_of
+from mavdiag.link.codec import Decoder, Encoder, Frame, Frames, frames_of, layout_of
 from mavdiag.link.messages import MavType, MessageId, ModeFlag, TargetMask
 from mavdiag.link.profiles import PROFILES, Evidence, detect_profile, with_imu
 from mavdiag.link.samples import SOURCES, Form, Part, SampleDecoder, SampleState, Source, euler_angles, joined
@@ -237,7 +237,7 @@ def test_an_autopilot_is_added_by_one_row() -> None:
 def streams(seed: int, epoch_imu: bool) -> list[Frame]:
     """Five seconds round the wrap of 32-bit microseconds: late frames, lost ones, a reboot; IMU maybe on unix time."""
     rng, encoder, decoder = np.random.default_rng(seed), Encoder(1, 1), Decoder()
-    reboot, frames, host_ns = int(rng.integers(100, 400)), [], 10**18
+    reboot, frames, host_ns = int(rng.integers(100, 400)), list[Frame](), 10**18
     for k in range(500):
         boot_us = WRAP_US - 2_000_000 + 10_000 * k if k < reboot else 4_000_000 + 10_000 * (k - reboot)
         late_us = int(rng.integers(0, 3)) * 10_000
@@ -297,13 +297,12 @@ def test_b9_how_frames_are_cut_does_not_matter(made: Callable[[int], list[Frame]
 @given(st.lists(ids, max_size=40), st.integers(0, 2**32))
 def test_no_payload_raises(messages: list[int], seed: int) -> None:
     rng = np.random.default_rng(seed)
-    sizes = {msgid: len(Decoder().feed(Encoder(1, 1).encode(msgid), 0)[0].payload) for msgid in messages}
+    sizes = {msgid: layout_of(msgid).packer.size for msgid in messages}
     hosts = np.sort(rng.integers(0, 1 << 62, len(messages))).tolist()
     frames = [Frame(m, 1, 1, 0, rng.bytes(sizes[m]), host_ns) for m, host_ns in zip(messages, hosts, strict=True)]
     for profile in PROFILES.values():
         state = SampleState()
         telemetry = SampleDecoder(profile).step(state, frames)
-        assert state.dropped >= 0
         assert all(np.isfinite(s.values).all() for s in telemetry.series if s.signal is not Signal.ROTOR_SPEED)
     found, reason = detect_profile(Evidence().take(frames_of(frames)))
     assert (found is None) == (reason != "")

@@ -86,10 +86,9 @@ def test_a_vehicle_enters_when_its_profile_is_clear_and_brings_its_frames_along(
     assert run(decoder, sender.chunks(300)) == 300
     stream = decoder.vehicles[1]
     assert stream.profile is PROFILES["ardupilot"]
-    assert (stream.state.timeline.t_ns, stream.state.timeline.reboots, stream.state.dropped) == (7_990_000_000, 0, 0)
+    assert (stream.state.timeline.t_ns, stream.state.timeline.reboots) == (7_990_000_000, 0)
     assert decoder.waiting == {}
-    count = decoder.count(1)
-    assert count is not None
+    assert (count := decoder.count(1)) is not None
     assert (count.received, count.lost) == (603, 0)
     assert decoder.count(7) is None
 
@@ -232,6 +231,10 @@ def test_a_second_source_is_not_heard_while_the_first_is_alive() -> None:
         assert heard(senders, KEY, seq, at_s * S, source) is (source == HERE)
     assert (count := senders.count(KEY)) is not None
     assert (senders.source(KEY), senders.intruder(KEY), count.received) == (HERE, Intruder(THERE, 2), 2)
+    senders.claim([KEY])  # also of one that was heard before
+    assert (heard(senders, KEY, 3, 3 * S, HERE), senders.impostor(KEY)) == (False, Intruder(HERE, 3))
+    senders.claim([KEY], ours=False)
+    assert (heard(senders, KEY, 3, 3 * S, HERE), senders.impostor(KEY)) == (True, None)
 
 
 def test_running_numbers_of_one_sender_follow_on() -> None:
@@ -249,12 +252,12 @@ def test_made_up_senders_and_unknown_ids_cost_bounded_memory() -> None:
     unknown = [b"\xfd\x01\x00\x00" + bytes([k & 0xFF, 9, 1]) + one + b"xyz" for k, one in enumerate(ids)]
     for warm in (frames[:2000], unknown[:2000]):
         for frame in warm:
-            decoder.feed_datagram(frame, 0)
+            decoder.take(as_columns([(frame, 0)]))
             link.feed(as_columns([(frame, 0)], [THERE]), 0)
     flood = [(frame, k) for k, frame in enumerate((*frames, *unknown))]
     tracemalloc.start()
     for k in range(0, len(flood), 100):
-        decoder.take_datagrams(as_columns(flood[k : k + 100]))
+        decoder.take(as_columns(flood[k : k + 100]))
     link.feed(as_columns([(frame, 0) for frame in frames], [THERE] * len(frames)), S)
     grown, _ = tracemalloc.get_traced_memory()
     tracemalloc.stop()
@@ -435,9 +438,9 @@ def test_l7_what_a_byte_stream_brought_at_once_goes_on_in_packets_of_whole_frame
     stream, passed, decoder = b"".join(frames(200)), list[tuple[bytes, int]](), Decoder()
     LinkDecoder(datagrams=False, passed=passed).feed(as_columns([(stream[:4401], 0), (stream[4401:], 0)]), 0)
     Relay(near, [behind]).pass_on(passed)
-    messages = [data for data, _ in far.receive(0.0)]
-    assert max(map(len, messages)) <= DATAGRAM_BYTES
-    assert sum(len(decoder.feed_datagram(message, 0)) for message in messages) == 200
+    messages = far.receive(0.0)
+    assert messages.sizes.max() <= DATAGRAM_BYTES
+    assert len(decoder.take(messages)) == 200
 
 
 def test_a_byte_stream_is_put_together_wherever_it_was_cut() -> None:
@@ -480,7 +483,7 @@ def group(number: int, target: tuple[int, int] = (1, 1)) -> bytes:
 def test_an_interval_of_a_message_that_is_needed_is_denied_in_the_autopilots_name(message: bytes) -> None:
     found = handled(message, 1)
     assert found.passed == ()
-    [ack] = Decoder().feed_datagram(found.answers[0], 0)
+    [ack] = Decoder().feed(found.answers[0])
     assert (ack.sysid, ack.compid, ack.msgid) == (1, 1, MessageId.COMMAND_ACK)
     told = ack.numbers("command", "result", "target_system", "target_component")
     assert told == (MavCmd.SET_MESSAGE_INTERVAL, MavResult.DENIED, 255, Component.MISSIONPLANNER)

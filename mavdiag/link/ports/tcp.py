@@ -62,7 +62,7 @@ class _Client(Stream):
         if not read:
             return read
         frames = self._decoder.records
-        self._decoder.feed(read, 0)
+        self._decoder.feed(read)
         if self._decoder.records > frames:
             self._garbage_from, self.heard_s = self._decoder.size, time.monotonic()
         data = self._begun + read
