@@ -220,10 +220,7 @@ class Plant:
 
     def inject(self, injection: Injection) -> None:
         """Add a cause; an onset that is past means from the next step on. Raises UsageError for one that cannot be."""
-        now_s = self._step * STEP_S
-        if injection.end_s <= now_s:
-            raise UsageError(f"end_s must be later than the present {now_s:g} s, not {injection.end_s:g}")
-        placed = self._placed((replace(injection, onset_s=max(injection.onset_s, now_s)),))
+        placed = self._placed((replace(injection, onset_s=max(injection.onset_s, self._step * STEP_S)),))
         self._set_injections((*self._injections, *placed))
         self._note(placed[0])
 
@@ -306,12 +303,11 @@ class Plant:
         return PlantSamples(t_ns, told["setpoint"], told["rate"], thrust, *sensed, motors, *truth, *own)
 
     def _renew_condition(self) -> None:
-        spans = [injection.span(STEP_S) for injection in self._injections]
-        present = list(compress(self._injections, [first <= self._step < end for first, end in spans]))
+        changes = [injection.first_step(STEP_S) for injection in self._injections]
+        present = list(compress(self._injections, [first <= self._step for first in changes]))
         self._rotors = rotor_condition(self.airframe, present, STEP_S)
         self._sensors = sensor_condition(present)
         self._state.imu.drifted[self._sensors.drift == 0.0] = 0.0
-        changes = [step for span in spans for step in span]
         if self.config.wear is not None:
             self._rotors.thrust_gain[:] *= self.config.wear.gain(self._step * STEP_S)
             changes.append(self._step + WEAR_STEPS)

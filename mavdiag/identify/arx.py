@@ -52,7 +52,7 @@ class ArxModel:
     order: (na, nb, nk). covariance: (d, d) of the d = na + nb estimates `theta`, nan if unknown: by SRIV for output
     noise of any colour, by LS for white noise in the equation. standard_errors: (d,) square roots of its diagonal.
     r2t, nrmse_fit, mse: of the training data, nan where unknown, as `Validation`. samples: rows of them.
-    yic: Young's information criterion, ln(1 - r2t) + ln(mean(se^2/theta^2)). iterations, converged: of SRIV.
+    yic: Young's information criterion, ln(1 - r2t) + ln(mean(se^2/theta^2)). converged: whether SRIV settled.
     Raises IdentificationError if the coefficients do not fit the order or are not finite. Only `fit` demands stability.
     """
 
@@ -68,7 +68,6 @@ class ArxModel:
     mse: float = math.nan
     yic: float = math.nan
     samples: int = 0
-    iterations: int = 0
     converged: bool = True
 
     def __post_init__(self) -> None:
@@ -117,12 +116,10 @@ class ArxModel:
         denominator = float(np.sum(self.a))
         return float(np.sum(self.b)) / denominator if denominator != 0.0 else math.inf
 
-    def simulate(self, u: FloatArray, past_u: FloatArray | None = None, past_y: FloatArray | None = None) -> FloatArray:
-        """Free-run output for the inputs u, (n,) -> (n,) (T 5.5). past_u, past_y: before u[0], oldest first; else 0."""
-        newest = (np.zeros(0) if past is None else past[::-1][: self.lag] for past in (past_u, past_y))
-        b, a, u0, y0 = (np.pad(one, (0, self.lag + 1 - len(one))) for one in (self.b, self.a, *newest))
-        begun = [b[k:] @ u0[: len(b) - k] - a[k:] @ y0[: len(a) - k] for k in range(1, len(b))]
-        y: FloatArray = filtered(b, a, np.array(u, dtype=np.float64)[:, None], np.array([[*begun, 0.0]]).T)[:, 0]
+    def simulate(self, u: FloatArray) -> FloatArray:
+        """Free-run output from rest for the inputs u, (n,) -> (n,) (T 5.5)."""
+        b, a = (np.pad(one, (0, self.lag + 1 - len(one))) for one in (self.b, self.a))
+        y: FloatArray = filtered(b, a, np.array(u, dtype=np.float64)[:, None], np.zeros((len(b), 1)))[:, 0]
         return y
 
     def predict(self, u: FloatArray, y: FloatArray) -> FloatArray:
@@ -202,11 +199,10 @@ class Segment:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimate:
-    """theta: (na + nb,), with its covariance. iterations, converged: of the estimator's own loop."""
+    """theta: (na + nb,), with its covariance. converged: whether the estimator's own loop settled."""
 
     theta: FloatArray
     covariance: FloatArray
-    iterations: int = 0
     converged: bool = True
 
 

@@ -232,9 +232,7 @@ def model_figures(model: ArxModel) -> ModelFigures:
             natural, damping, poles = control.damp(one.to_control(), doprint=False)
             nearest = [int(np.argmin(np.abs(poles - pole))) for pole in upper]
             of_poles = np.column_stack((poles.real, np.abs(poles.imag), natural / (2.0 * np.pi), damping))[nearest]
-            size = one.lag + 1
-            B, A = (np.pad(values, (0, size - len(values))) for values in (one.b, one.a))
-            loop = control.TransferFunction(B, A - B, one.dt)
+            loop = control.feedback(one.to_control(), 1, sign=1)  # T / (1 - T)
             gain, phase, modulus = control.stability_margins(loop)[:3]
             at_nyquist = float(np.real(loop(-1.0)))
             if not np.isfinite(gain) and at_nyquist < 0.0:  # control does not look for a crossing there

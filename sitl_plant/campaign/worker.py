@@ -27,7 +27,7 @@ from mavdiag.judging import JudgedFlight, LogVerdict, Verdict, judge_in_full
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.storage import begins
 from mavdiag.telemetry import Log
-from mavdiag.units import NS_PER_S, S_PER_H
+from mavdiag.units import NS_PER_S
 from sitl_plant.autopilot.telemetry import flight_telemetry
 from sitl_plant.campaign.plan import (
     CONDITIONS,
@@ -73,7 +73,6 @@ class LearnResult:
     link: str
     baseline: str = ""
     error: str = ""
-    judged_s: float = 0.0
     record: Literal["learn"] = "learn"
 
 
@@ -203,7 +202,7 @@ def learn_task(job: tuple[str, LearnTask], seed: int) -> LearnResult:
         baseline = learn(flights, LearnOptions(airframe=airframe_of(airframe.vehicle, airframe.name)), created=CREATED)
     except MavdiagError as error:
         return LearnResult(key, task.airframe, task.link, error=str(error))
-    return LearnResult(key, task.airframe, task.link, dump(baseline), judged_s=S_PER_H * baseline.healthy_hours)
+    return LearnResult(key, task.airframe, task.link, dump(baseline))
 
 
 def fly_task(job: tuple[str, FlightTask, LearnResult], seed: int) -> FlightResult:
@@ -366,7 +365,6 @@ class Results:
     """The results of a design, in the order of its plan."""
 
     design: Design
-    learnt: tuple[LearnResult, ...]
     flights: tuple[FlightResult, ...]
     reused: int  # results that were in the file already
     others: int  # lines of other campaigns, or of another version
@@ -399,4 +397,4 @@ def run_campaign(design: Design, journal: Journal, workers: int | str) -> Result
     found = {task: line for key, task in learning.items() if isinstance(line := journal.lines[key], LearnResult)}
     work("flying", partial(fly_task, seed=seed), [(key, task, found[task.learnt]) for key, task in flights.items()])
     flown = tuple(line for key in flights if isinstance(line := journal.lines[key], FlightResult))
-    return Results(design, tuple(found.values()), flown, reused, others)
+    return Results(design, flown, reused, others)

@@ -143,6 +143,14 @@ def tilt_from_accel(f_x: float, f_y: float, f_z: float) -> tuple[float, float]:
 
 
 @jit
+def euler_rates(phi: float, theta: float, p: float, q: float, r: float) -> tuple[float, float, float]:
+    """The slopes of roll, pitch and yaw under these body rates, W(eta) rate [rad/s]."""
+    sine, cosine = math.sin(phi), math.cos(phi)
+    turn = (q * sine + r * cosine) / math.cos(theta)
+    return p + math.sin(theta) * turn, q * cosine - r * sine, turn
+
+
+@jit
 def advance_estimate(
     estimate: FloatArray, accel: FloatArray, estimator: Estimator, reading: FloatArray, yaw_seen: float, dt: float
 ) -> None:
@@ -155,13 +163,10 @@ def advance_estimate(
         accel[i] += estimator.accel_gain * (reading[3 + i] - accel[i])
     phi_acc, theta_acc = tilt_from_accel(accel[0], accel[1], accel[2])
     phi, theta, psi = estimate[0], estimate[1], estimate[2]
-    p, q, r = estimate[3], estimate[4], estimate[5]
-    sine, cosine = math.sin(phi), math.cos(phi)
-    turn = (q * sine + r * cosine) / math.cos(theta)
-    phi += dt * (p + math.sin(theta) * turn) + estimator.correction * wrapped(phi_acc - phi)
-    psi += dt * turn + estimator.correction * wrapped(yaw_seen - psi)
-    theta += dt * (q * cosine - r * sine) + estimator.correction * (theta_acc - theta)
-    estimate[0], estimate[1], estimate[2] = wrapped(phi), wrapped(theta), wrapped(psi)
+    dphi, dtheta, dpsi = euler_rates(phi, theta, estimate[3], estimate[4], estimate[5])
+    estimate[0] = wrapped(phi + (dt * dphi + estimator.correction * wrapped(phi_acc - phi)))
+    estimate[1] = wrapped(theta + (dt * dtheta + estimator.correction * (theta_acc - theta)))
+    estimate[2] = wrapped(psi + (dt * dpsi + estimator.correction * wrapped(yaw_seen - psi)))
 
 
 @jit
@@ -174,17 +179,15 @@ def advance_estimates(
         _low_pass(state.accel[k], state.accel_slope[k], filters.accel, reading[k, 3:])
         phi_seen, theta_seen = tilt_from_accel(state.accel[k, 0], state.accel[k, 1], state.accel[k, 2])
         phi, theta = state.angle[k, 0], state.angle[k, 1]
-        p, q, r = reading[k, 0], reading[k, 1], reading[k, 2]
-        sine, cosine = math.sin(phi), math.cos(phi)
-        turn = (q * sine + r * cosine) / math.cos(theta)
+        dphi, dtheta, dpsi = euler_rates(phi, theta, reading[k, 0], reading[k, 1], reading[k, 2])
         error_phi, error_theta = wrapped(phi_seen - phi), theta_seen - theta
         state.correction[k, 0] += dt * filters.correction_i * error_phi
         state.correction[k, 1] += dt * filters.correction_i * error_theta
-        dphi = p + math.sin(theta) * turn + filters.correction_p * error_phi + state.correction[k, 0]
-        dtheta = q * cosine - r * sine + filters.correction_p * error_theta + state.correction[k, 1]
+        dphi = dphi + filters.correction_p * error_phi + state.correction[k, 0]
+        dtheta = dtheta + filters.correction_p * error_theta + state.correction[k, 1]
         state.angle[k, 0] = wrapped(phi + dt * dphi)
         state.angle[k, 1] = wrapped(theta + dt * dtheta)
-        state.angle[k, 2] += dt * turn
+        state.angle[k, 2] += dt * dpsi
     for axis in range(3):
         estimate[axis] = 0.5 * (state.angle[0, axis] + state.angle[1, axis])
         estimate[3 + axis] = 0.5 * (state.rate[0, axis] + state.rate[1, axis])

@@ -402,8 +402,7 @@ REFERENCE = Reference("sha256:b", tuple(map(tuple, C.tolist())), TAUGHT)
 
 
 def one_each(share: FloatArray) -> Sessions:
-    n = len(share)
-    return sessions_of(range(1, n + 1), range(n), share)
+    return sessions_of(range(len(share)), share)
 
 
 def forecast(trend: Trend, flights: float) -> tuple[float, float]:
@@ -443,7 +442,7 @@ def test_the_interval_of_the_remaining_flights_holds_what_cannot_be_told_from_th
     """Fieller's inequality, asked directly over a grid of flights."""
     slope_variance = (relative * slope) ** 2
     covariance = correlation * math.sqrt(level_variance * slope_variance)
-    trend = Trend(level, slope, level_variance, covariance, slope_variance, 0.05, 20)
+    trend = Trend(level, slope, level_variance, covariance, slope_variance, 0.05)
     found = trend.remaining()
     assert found is not None
     assert found.low <= found.flights <= found.high
