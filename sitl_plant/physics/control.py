@@ -110,9 +110,6 @@ class ControlState(NamedTuple):
     wrench: FloatArray  # (4,) thrust [N] and torques [N m]
     duty: FloatArray  # (n,) 0..1
     motors: FloatArray  # (1,) 0 disarmed, 1 armed and idle, 2 flying
-    pid: FloatArray  # (4,) before the limits: roll and pitch [rad], thrust deviation [N], yaw rate [rad/s]
-    asked: FloatArray  # (3,) torques before their limit
-    desired: FloatArray  # (4,) the reference x, y, z, yaw
 
 
 def second_order(wn_rad_s: float, zeta: float, dt_s: float) -> Transition:
@@ -245,9 +242,9 @@ def _outer_loop(
     right = _piv(state, gains, 1, c * e_e - s * e_n, c * v_e - s * v_n, dt)
     down = _piv(state, gains, 2, path[2] - pose[2], path[5] - speed[2], dt)
     turn = _piv(state, gains, 3, wrapped(path[6] - pose[3]), path[7] - r, dt)
-    state.pid[0], state.pid[1], state.pid[2], state.pid[3] = right, -ahead, -down, turn
     state.setpoint[0] = _clip(right, -gains.tilt_limit, gains.tilt_limit)
     state.setpoint[1] = _clip(-ahead, -gains.tilt_limit, gains.tilt_limit)
+    state.rate[2] = _clip(gains.yaw_rate * turn, -gains.rate_limit[2], gains.rate_limit[2])
     state.wrench[0] = _clip(gains.trim - down, gains.thrust_limit[0], gains.thrust_limit[1])
 
 
@@ -256,14 +253,13 @@ def _inner_loop(
     state: ControlState, gains: Controller, estimate: FloatArray, thrust_map: ThrustMap | None, volts: float
 ) -> None:
     """Attitude to rates to torques to duties (T Eq 2.36, 2.40, 2.43, 2.44)."""
-    state.rate[2] = _clip(gains.yaw_rate * state.pid[3], -gains.rate_limit[2], gains.rate_limit[2])
     for axis in range(2):
         rate = gains.attitude_p * (state.setpoint[axis] - estimate[axis]) + gains.attitude_d * estimate[3 + axis]
         state.rate[axis] = _clip(rate, -gains.rate_limit[axis], gains.rate_limit[axis])
     for axis in range(3):
         torque = gains.rate_gain[axis, 0] * (state.rate[axis] - estimate[3 + axis])
-        state.asked[axis] = torque + gains.rate_gain[axis, 1] * estimate[6 + axis]
-        state.wrench[1 + axis] = _clip(state.asked[axis], -gains.torque_limit[axis], gains.torque_limit[axis])
+        torque += gains.rate_gain[axis, 1] * estimate[6 + axis]
+        state.wrench[1 + axis] = _clip(torque, -gains.torque_limit[axis], gains.torque_limit[axis])
     for i in range(len(state.duty)):
         force = 0.0
         for k in range(4):
@@ -282,9 +278,7 @@ def _stand(state: ControlState, gains: Controller) -> None:
     rests = len(state.duty) * gains.full_thrust * duty * duty
     state.wrench[0] = gains.ground_thrust if idle and gains.ground_thrust > 0.0 else rests
     for axis in range(3):
-        state.setpoint[axis] = state.rate[axis] = state.wrench[1 + axis] = state.asked[axis] = 0.0
-    for i in range(4):
-        state.pid[i] = 0.0
+        state.setpoint[axis] = state.rate[axis] = state.wrench[1 + axis] = 0.0
     for i in range(len(state.duty)):
         state.duty[i] = duty
 
@@ -314,7 +308,6 @@ def control(
         _outer_loop(state, gains, path, pose, velocity, yaw_rate, dt)
     else:
         _stand(state, gains)
-    state.desired[0], state.desired[1], state.desired[2] = path[0], path[1], path[2]
-    state.desired[3] = state.setpoint[2] = path[6]
+    state.setpoint[2] = path[6]
     if state.motors[0] == FLYING or (state.motors[0] == IDLE and not loops_rest):
         _inner_loop(state, gains, estimate, thrust_map, volts)

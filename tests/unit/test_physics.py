@@ -229,7 +229,7 @@ def gains() -> Controller:
 
 def fresh() -> ControlState:
     z = np.zeros
-    return ControlState(np.array([0.0, 0.0, -WEIGHT, 0.0]), z(3), z(3), z(4), z(4), z(1), z(4), z(3), z(4))
+    return ControlState(np.array([0.0, 0.0, -WEIGHT, 0.0]), z(3), z(3), z(4), z(4), z(1))
 
 
 def ask(
