@@ -60,6 +60,9 @@ class Mark:
     kind: MarkKind
     note: str = ""
 
+    def __str__(self) -> str:
+        return f"{self.kind}: {self.note}" if self.note else self.kind
+
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
@@ -162,7 +165,7 @@ def stretches_of(flights: Sequence[FlightRecord], marks: Sequence[Mark]) -> tupl
     for place, before in enumerate(flights, 1):
         after = flights[place] if place < len(flights) else None
         until_ns = np.inf if after is None else after.t_ns
-        marked = dict.fromkeys(mark.kind.value for mark in marks if before.t_ns < mark.t_ns <= until_ns)
+        marked = dict.fromkeys(str(mark) for mark in marks if before.t_ns < mark.t_ns <= until_ns)
         other = after is not None and after.baseline != before.baseline
         reason = ", ".join(marked) or (NEW_BASELINE if other else "")
         if reason or after is None:

@@ -489,9 +489,10 @@ def test_a_warning_stands_while_the_level_does_and_ends_when_it_falls_back() -> 
 
 def test_marks_and_other_baselines_begin_a_stretch() -> None:
     flights = (*records([0.5] * 10), *(record(number, baseline="sha256:new") for number in range(11, 16)))
-    marks = [Mark("one", START_NS + day * DAY_NS + 1, kind) for day, kind in zip((4, 90), MarkKind, strict=True)]
+    told = ((4, MarkKind.NEW_PROPELLERS, ""), (90, MarkKind.REPAIR, "arm 2"))
+    marks = [Mark("one", START_NS + day * DAY_NS + 1, kind, note) for day, kind, note in told]
     found = [(one.first, one.began, len(one.flights)) for one in stretches_of(flights, marks)]
-    assert found == [(1, "", 4), (5, "new propellers", 6), (11, "new baseline", 5), (16, "repair", 0)]
+    assert found == [(1, "", 4), (5, "new propellers", 6), (11, "new baseline", 5), (16, "repair: arm 2", 0)]
     assert stretches_of((), marks) == ()
 
 
