@@ -136,14 +136,11 @@ class Dialect:
         return Schedule(rates, self.ceiling_hz, self.whole_ms, self.attained_hz)
 
     def parameters_of(self, vehicle: Vehicle) -> tuple[Parameter, ...]:
-        """The parameters of a vehicle: the dialect's, its geometry as the autopilot has it, those that can be set."""
+        """The parameters of a vehicle: the dialect's, its geometry as the autopilot has it, the emulator's own."""
         px4 = self.encoding is Encoding.BYTES
         geometry = _px4_frame(vehicle) if px4 else _copter_frame(vehicle)
         own = Parameter("MAV_SYS_ID" if px4 else "SYSID_THISMAV", self.sysid, Kind.INT16)
-        fixed, settable = (
-            [row for row in self.parameters if (row.span is None) is is_fixed] for is_fixed in (True, False)
-        )
-        return (own, *fixed, *geometry, *settable, *OWN_PARAMETERS)
+        return (own, *self.parameters, *geometry, *OWN_PARAMETERS)
 
     def code(self, custom_mode: int) -> ModeCode | None:
         """The mode of a number; None if there is none."""
