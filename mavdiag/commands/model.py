@@ -141,9 +141,9 @@ def compare_models(
     """Compare the fit, and the thesis's published model, with the frequency response that the data show."""
     flight = rates(read_log(log, vehicle=vehicle), axis, window)
     models = {f"fit {method} {order}": _fitted(flight, order, method)}
-    published = {model.axis: model for model in (lab.THESIS_ROLL, lab.THESIS_PITCH)}.get(axis)
-    if published is not None and math.isclose(flight.dt_s, lab.ASSUMED_DT_S, rel_tol=SAME_RATE):
-        models[published.source] = published.scaled
+    if axis in lab.PUBLISHED and math.isclose(flight.dt_s, lab.ASSUMED_DT_S, rel_tol=SAME_RATE):
+        source, printed = lab.PUBLISHED[axis]
+        models[source] = printed
     measured = _response(flight, window)
     if measured is None:
         raise IdentificationError(f"{log}: no stretch of {2 * RESPONSE_WINDOW_S:g} s; record a longer flight")

@@ -50,7 +50,7 @@ class ArxModel:
 
     a: (na + 1,), a[0] == 1. b: (nk + nb,) with nk leading zeros; unit of y per unit of u. dt: sample time [s].
     order: (na, nb, nk). covariance: (d, d) of the d = na + nb estimates `theta`, nan if unknown: by SRIV for output
-    noise of any colour, by LS for white noise in the equation. standard_errors: (d,) square roots of its diagonal.
+    noise of any colour, by LS for white noise in the equation.
     r2t, nrmse_fit, mse: of the training data, nan where unknown, as `Validation`. samples: rows of them.
     yic: Young's information criterion, ln(1 - r2t) + ln(mean(se^2/theta^2)). converged: whether SRIV settled.
     Raises IdentificationError if the coefficients do not fit the order or are not finite. Only `fit` demands stability.
@@ -61,7 +61,6 @@ class ArxModel:
     dt: float
     order: Order
     method: Method
-    standard_errors: FloatArray = field(default_factory=lambda: np.empty(0))
     covariance: FloatArray = field(default_factory=lambda: np.empty(0))
     r2t: float = math.nan
     nrmse_fit: float = math.nan
@@ -74,10 +73,9 @@ class ArxModel:
         na, nb, nk = check_order(self.order)
         d = na + nb
         covariance = self.covariance if len(self.covariance) else np.full((d, d), np.nan)
-        errors = self.standard_errors if len(self.standard_errors) else np.sqrt(np.maximum(np.diag(covariance), 0.0))
-        arrays = {"a": self.a, "b": self.b, "standard_errors": errors, "covariance": covariance}
-        if [values.shape for values in arrays.values()] != [(na + 1,), (nb + nk,), (d,), (d, d)]:
-            raise IdentificationError(f"order {self.order} needs {na + 1} a, {nb + nk} b and {d} standard errors")
+        arrays = {"a": self.a, "b": self.b, "covariance": covariance}
+        if [values.shape for values in arrays.values()] != [(na + 1,), (nb + nk,), (d, d)]:
+            raise IdentificationError(f"order {self.order} needs {na + 1} a, {nb + nk} b and {d} by {d} covariances")
         for name, values in arrays.items():
             copy = np.array(values, dtype=np.float64)
             copy.setflags(write=False)
@@ -98,6 +96,11 @@ class ArxModel:
     def theta(self) -> FloatArray:
         """The estimated parameters, (na + nb,): a1..a_na, then b_nk..b_{nk+nb-1}."""
         return np.concatenate((self.a[1:], self.b[self.order[2] :]))
+
+    @property
+    def standard_errors(self) -> FloatArray:
+        """Square roots of the covariance's diagonal, (na + nb,), of `theta`."""
+        return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)), dtype=np.float64)
 
     @property
     def poles(self) -> "NDArray[np.complex128]":
@@ -161,7 +164,7 @@ class ModelRecord:
     @classmethod
     def of(cls, model: ArxModel) -> "ModelRecord":
         """The record of a model."""
-        known, correlated = (bool(np.isfinite(one).all()) for one in (model.standard_errors, model.covariance))
+        known = bool(np.isfinite(model.covariance).all())
         r2t, fit, mse = (one if math.isfinite(one) else None for one in (model.r2t, model.nrmse_fit, model.mse))
         return cls(
             a=tuple(model.a.tolist()),
@@ -170,7 +173,7 @@ class ModelRecord:
             order=model.order,
             method=model.method,
             standard_errors=tuple(model.standard_errors.tolist()) if known else (),
-            covariance=tuple(map(tuple, model.covariance.tolist())) if correlated else (),
+            covariance=tuple(map(tuple, model.covariance.tolist())) if known else (),
             r2t=r2t,
             nrmse_fit=fit,
             mse=mse,
@@ -179,11 +182,9 @@ class ModelRecord:
 
     def model(self) -> ArxModel:
         """The model, ready to simulate."""
-        a, b, errors, covariance = map(np.array, (self.a, self.b, self.standard_errors, self.covariance))
+        a, b, covariance = map(np.array, (self.a, self.b, self.covariance))
         r2t, fit, mse = (math.nan if value is None else value for value in (self.r2t, self.nrmse_fit, self.mse))
-        return ArxModel(
-            a, b, self.dt_s, self.order, self.method, errors, covariance, r2t, fit, mse, samples=self.samples
-        )
+        return ArxModel(a, b, self.dt_s, self.order, self.method, covariance, r2t, fit, mse, samples=self.samples)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -164,7 +164,6 @@ def fit(
         yic = float(np.sum(np.log(np.maximum((1.0 - quality.r2t, unsure), 0.0)))) if math.isfinite(unsure) else math.inf
     return replace(
         bare,
-        standard_errors=np.empty(0),
         covariance=covariance,
         **{**asdict(quality), "samples": sum(map(len, segments))},
         yic=yic,
