@@ -137,10 +137,10 @@ Job = TypeVar("Job", bound=tuple[Any, ...])
 _LINE: TypeAdapter[Line] = TypeAdapter(Annotated[Line, Field(discriminator="record")])
 
 
-def specimen(seed: int, number: int, aged: bool, vehicle: Vehicle) -> Airframe:
-    """Airframe `number` of the campaign: drawn afresh, none of drones 1 to 3."""
+def specimen(seed: int, number: int, vehicle: Vehicle) -> Airframe:
+    """Airframe `number` of the campaign: drawn afresh, none of drones 1 to 3; every second one is aged."""
     rng = np.random.default_rng(np.random.SeedSequence([seed, 0xA1F, number]))
-    return draw_airframe(vehicle, aged, rng, f"airframe {number}")
+    return draw_airframe(vehicle, number % 2 == 1, rng, f"airframe {number}")
 
 
 def _config(airframe: Airframe, flown: Conditions, duration_s: float, rng: np.random.Generator) -> PlantConfig:
@@ -194,7 +194,7 @@ def _flown(
 def learn_task(job: tuple[str, LearnTask], seed: int) -> LearnResult:
     """Fly an airframe's healthy flights and learn from them. job: key and task."""
     key, task = job
-    airframe, flights = specimen(seed, task.airframe, task.aged, task.vehicle), []
+    airframe, flights = specimen(seed, task.airframe, task.vehicle), []
     for number, child in enumerate(task_sequence(seed, task).spawn(len(task.flights))):
         config = _config(airframe, task.flights[number], task.duration_s, np.random.default_rng(child))
         flights.append(_flown(config, task, task.duration_s, 0.0, f"{airframe.name} healthy {number}", 0, number)[0])
@@ -209,7 +209,7 @@ def fly_task(job: tuple[str, FlightTask, LearnResult], seed: int) -> FlightResul
     """Fly once and judge the flight by what was learnt of the airframe. job: key, task, and that."""
     key, task, learnt = job
     drawn, row, sequence = task.learnt, CONDITIONS[task.conditions.condition], task_sequence(seed, task)
-    airframe, wear = _on_the_day(seed, specimen(seed, drawn.airframe, drawn.aged, drawn.vehicle), task)
+    airframe, wear = _on_the_day(seed, specimen(seed, drawn.airframe, drawn.vehicle), task)
     rng, own = np.random.default_rng(sequence), np.random.default_rng(sequence.spawn(1)[0])
     onset_s = None if task.cause == HEALTHY else round(task.duration_s * float(rng.uniform(*ONSET)), 3)
     injections = injections_of(task.cause, task.rotor, onset_s or 0.0, task.phenomenology, rng)
