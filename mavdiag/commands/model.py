@@ -172,11 +172,13 @@ def track(
     The estimate has the bias of least squares under noise: look at its changes, not at its values.
     """
     flight = rates(read_log(log, vehicle=vehicle), axis, window)
-    if not (every >= flight.dt_s and memory > flight.dt_s):
-        raise UsageError(f"--every and --memory must be longer than the sample time of {flight.dt_s:g} s")
+    chosen = opt.parse_order(order)
+    least_s = sum(chosen[:2]) * flight.dt_s
+    if not (every >= flight.dt_s and memory > least_s):
+        raise UsageError(f"--every and --memory must be longer than {flight.dt_s:g} and {least_s:g} s for this order")
     count, lines = max(1, round(every / flight.dt_s)), []
     told = {"dt": flight.dt_s, "forgetting": 1.0 - flight.dt_s / memory}
-    for flown, model in lab.track(flight.u, flight.y, opt.parse_order(order), every=count, **told):
+    for flown, model in lab.track(flight.u, flight.y, chosen, every=count, **told):
         found = model_figures(model)
         figures = {"pole_hz": found.poles[0].natural_hz, "damping": found.poles[0].damping}  # of the slowest
         line = {"flight_s": round(flown * flight.dt_s, 3), "dc_gain": found.dc_gain}

@@ -118,12 +118,15 @@ def track(
 ) -> Iterator[tuple[int, ArxModel]]:
     """Follow a model through one record or several; yield it, and how many samples it has seen, at each so many.
 
-    forgetting: weight lambda of the past per sample, 0 < lambda <= 1; the memory is about 1/(1 - lambda) samples.
+    forgetting: weight lambda of the past per sample, at most 1; the memory is about 1/(1 - lambda) samples, which must
+    be more than the parameters. Nothing is yielded before so many were seen.
     The model may be unstable; its covariance is P times the weighted mean of the error before x after each step.
     """
     d = sum(check_order(order)[:2])
-    if not 0.0 < forgetting <= 1.0:
-        raise IdentificationError(f"forgetting must be above 0 and at most 1, not {forgetting}")
+    if not 1.0 - 1.0 / d < forgetting <= 1.0:
+        raise IdentificationError(
+            f"forgetting must be above {1 - 1 / d:g}, for {d} parameters, up to 1, not {forgetting}"
+        )
     theta, P, loss, weight, seen = np.zeros(d), np.eye(d) * FIRST_SPREAD, 0.0, 0.0, 0
     for segment in to_segments(u, y, order):
         Phi, target = regressors(segment, order)
@@ -141,9 +144,8 @@ def track(
                 weight = forgetting * weight + 1.0
                 loss += (error * (measured - float(phi @ theta)) - loss) / weight
             seen = begin + min(first + every, len(segment))
-            if weight <= d:
-                raise IdentificationError("the recursive estimate has seen too few samples; keep feeding it")
-            yield seen, ArxModel(*polynomials(theta, order), dt, order, Method.RLS, covariance=P * loss)
+            if weight > d:
+                yield seen, ArxModel(*polynomials(theta, order), dt, order, Method.RLS, covariance=P * loss)
 
 
 ASSUMED_DT_S = 0.001  # the logs were taken at 1 kHz (T 5.3); the models do not say
@@ -247,7 +249,8 @@ def deviations(model: ArxModel, values: Callable[[ArxModel], FloatArray]) -> Flo
             values(ArxModel(*polynomials(theta, model.order), model.dt, model.order, model.method))
             for theta in (model.theta + move, model.theta - move)
         )
-        squares += ((ahead - behind) / (2.0 * STEP)) ** 2
+        with np.errstate(invalid="ignore"):  # infinity less infinity is no figure
+            squares += ((ahead - behind) / (2.0 * STEP)) ** 2
     return np.asarray(np.sqrt(squares), dtype=np.float64)
 
 

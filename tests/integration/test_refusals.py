@@ -81,7 +81,7 @@ REFUSED = [
     ("mavdiag identify --output= a.tlog", "an empty value behind --output="),
     *((f"mavdiag {it}", "one=: no such file") for it in ("history add x.tlog --baseline=none=", "model none=")),
     ("mavdiag model t.csv", "CSV with --columns MAP.toml where a command has it"),
-    ("mavdiag model track a.tlog --every 0", "--every and --memory must be longer"),
+    *((f"mavdiag model track a.tlog --{it}", "--memory must be longer") for it in ("every 0", "memory 0.04")),
     ("mavdiag model sweep a.tlog --validate fast.tlog", "fast.tlog: its rate is not that of a.tlog"),
     ("mavdiag model a.tlog --plot /dev/null", "not a regular file"),
     *((f"mavdiag model a.tlog --order {order}", "three whole numbers") for order in ("'2;2'", "99,99,99")),
