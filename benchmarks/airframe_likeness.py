@@ -67,7 +67,7 @@ def main() -> None:
     profile, _, rate = arguments.link.partition("@")
     link, vehicle = LinkSpec(profile, float(rate)), vehicle_from("qdrone2")
     sessions = [
-        Session(specimen(arguments.seed, n, n % 2 == 1, vehicle), link, np.random.default_rng([arguments.seed, n]))
+        Session(specimen(arguments.seed, n, vehicle), link, np.random.default_rng([arguments.seed, n]))
         for n in range(arguments.airframes)
     ]
     rng = np.random.default_rng([arguments.seed, 999])

@@ -64,7 +64,7 @@ def flights_of(airframe: int, session: int, count: int, options: argparse.Namesp
     """Healthy flights of one session."""
     vehicle = vehicle_named(VEHICLES[airframe % len(VEHICLES)])
     rng = np.random.default_rng([options.seed, airframe, session])
-    own = in_session(specimen(options.seed, airframe, airframe % 2 == 1, vehicle), rng)
+    own = in_session(specimen(options.seed, airframe, vehicle), rng)
     if options.propellers > 0.0:
         own = with_propellers(own, options.propellers, rng)
     for number in range(count):

@@ -221,7 +221,7 @@ def emulated(airframes: int, seed: int) -> Table:
         return learn(logs, options, created=CREATED)
 
     for number in range(airframes):
-        airframe, rng = specimen(seed, number, number % 2 == 1, qdrone2()), np.random.default_rng([seed, number])
+        airframe, rng = specimen(seed, number, qdrone2()), np.random.default_rng([seed, number])
         first = 10 * seed + 1000 * number
         healthy = [flight(airframe, first + i, "healthy") for i in range(5)]
         others = [flight(in_session(airframe, rng), first + 100 + i, "session") for i in range(10)]

@@ -81,7 +81,7 @@ class _Hangar:
 
     def __init__(self, seed: int, number: int) -> None:
         self.rng = np.random.default_rng([seed, number])
-        self.airframe = specimen(seed, number, number % 2 == 1, qdrone2())
+        self.airframe = specimen(seed, number, qdrone2())
         self.rotor, self.angle = int(self.rng.integers(1, 5)), float(self.rng.uniform(0, 2 * np.pi))
         self.name = f"airframe {number}"
 

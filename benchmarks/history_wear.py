@@ -84,8 +84,7 @@ def drawn(seed: int, number: int, law: str = "") -> Drawn:
             share[REACHED:] = math.nan
         share = np.maximum(share, 0.0)
         share[rng.random(FLIGHTS) < missed] = math.nan
-        numbers = np.arange(1, FLIGHTS + 1)
-        found.append(Series(monitor, axis, "", 1.0, numbers, session, share))
+        found.append(Series(monitor, axis, "", 1.0, session, share))
     return Drawn(law, tuple(found))
 
 
@@ -109,10 +108,8 @@ def _grown(law: str, worn: bool, rng: np.random.Generator) -> FloatArray:
 
 def first_warned(series: Sequence[Series], last: int) -> int | None:
     """The first flight, of those up to `last`, after which any of them is warned of."""
-    found = last + 1
-    for one in series:
-        found = warned_at(one, before=found) or found
-    return found if found <= last else None
+    found = (warned_at(one) for one in series)
+    return min((flight for flight in found if flight is not None and flight <= last), default=None)
 
 
 def lead_drawn(number: int, seed: int, laws: Sequence[str]) -> tuple[str, int | None]:
@@ -125,7 +122,7 @@ def lead_drawn(number: int, seed: int, laws: Sequence[str]) -> tuple[str, int | 
 def healthy_drawn(number: int, seed: int) -> tuple[bool, int, int]:
     """Whether a healthy airframe is warned of; series with a change point, and change points."""
     series = drawn(seed, number).series
-    changes = [changes_of(sessions_of(one.number, one.session, one.share)) for one in series]
+    changes = [changes_of(sessions_of(one.session, one.share)) for one in series]
     return first_warned(series, FLIGHTS) is not None, sum(bool(one) for one in changes), sum(map(len, changes))
 
 

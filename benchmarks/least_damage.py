@@ -115,7 +115,7 @@ class Setup:
 
     def airframe(self) -> Airframe:
         """The specimen."""
-        return specimen(self.seed, self.number, self.number % 2 == 1, built(qdrone2(), self.mount))
+        return specimen(self.seed, self.number, built(qdrone2(), self.mount))
 
     def flight(self, seed: int, injections: tuple[Injection, ...] = ()) -> Log:
         """One flight over the link."""

@@ -58,7 +58,7 @@ Shown = dict[str, tuple[tuple[float, int], ...]]  # of each monitor what one air
 def emulated(number: int, seed: int) -> Baseline:
     """A baseline of an emulated airframe."""
     vehicle, rng, logs = vehicle_named(VEHICLES[number % len(VEHICLES)]), np.random.default_rng([seed, number]), []
-    airframe = specimen(seed, number, number % 2 == 1, vehicle)
+    airframe = specimen(seed, number, vehicle)
     for session in range(SESSIONS):
         own = with_propellers(in_session(airframe, rng), SPREAD, rng)
         for flight in range(FLIGHTS):

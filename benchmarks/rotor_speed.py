@@ -62,7 +62,7 @@ class Setup:
         """One flight, whose motors are as warm as they are."""
         vehicle = qdrone2()
         vehicle = replace(vehicle, propulsion=replace(vehicle.propulsion, load_share=self.load))
-        airframe = specimen(self.seed, self.number, self.number % 2 == 1, vehicle)
+        airframe = specimen(self.seed, self.number, vehicle)
         warmth = 1 + self.session * np.random.default_rng([self.seed, seed, 1]).standard_normal(4)
         motors = tuple(Injection(RotorDamage(speed_factor=one), k) for k, one in enumerate(warmth.tolist(), 1))
         config = PlantConfig(airframe=airframe, seed=seed, injections=(*motors, *injections))

@@ -76,7 +76,7 @@ def fly(session: Session, conditions: Conditions, duration_s: float, injections:
 def session_of(seed: int, number: int) -> Session:
     """A new specimen over one of the links."""
     profile, _, rate = LINKS[number % len(LINKS)].partition("@")
-    airframe = specimen(seed, number, number % 2 == 1, qdrone2())
+    airframe = specimen(seed, number, qdrone2())
     return Session(airframe, LinkSpec(profile, float(rate)), np.random.default_rng([seed, number]))
 
 

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.signal import lfilter, lfiltic
 
 from mavdiag.errors import InputError
 from mavdiag.identify import ArxModel
@@ -87,6 +88,7 @@ def residuals(flight: Sequence[Rows], axis: Axis, model: ArxModel) -> list[Resid
         if rates:
             t_ns, valid = (np.concatenate([getattr(one, name) for one in rates]) for name in ("t_ns", "commanded"))
             u, y = (np.concatenate([getattr(one, name)[:, axis.column] for one in rates]) for name in ("u", "y"))
-            rest = np.full(len(model.b), u[0]), np.full(len(model.a), np.nan_to_num(y[0]))
-            found.append(Residual(t_ns, y - model.simulate(u, *rest), valid, rates[0].dt_s))
+            past_u, past_y = np.full(len(model.b), u[0]), np.full(len(model.a), np.nan_to_num(y[0]))
+            simulated, _ = lfilter(model.b, model.a, u, zi=lfiltic(model.b, model.a, past_y, past_u))
+            found.append(Residual(t_ns, y - simulated, valid, rates[0].dt_s))
     return found

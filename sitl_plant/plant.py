@@ -16,7 +16,6 @@ from itertools import compress
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray, IntArray
@@ -24,7 +23,7 @@ from sitl_plant.physics.air import Dryden, dryden
 from sitl_plant.physics.airframe import NEVER, NO_PAYLOAD, Airframe, Payload, PickUp, Wear, drone
 from sitl_plant.physics.control import Controller
 from sitl_plant.physics.faults import Injection, fault_injection, rotor_condition, sensor_condition
-from sitl_plant.physics.kernel import LOG, TOLD, Model, Recorded, Streams, fly, told_parts
+from sitl_plant.physics.kernel import TOLD, Model, Recorded, Streams, fly, told_parts
 from sitl_plant.physics.parameters import STEP_S, air_of, initial_state, make_model, recorded_set, reload
 from sitl_plant.physics.trajectory import ARM_S, LIFT_S, REFERENCE, Leg, Nose, Path, Shape, follow, landing_time, path
 from sitl_plant.vehicle import Vehicle, qdrone2
@@ -158,7 +157,6 @@ class PlantSamples:
     omega: FloatArray  # (n, 3) truth, body rates [rad/s]
     rotor_speed: FloatArray  # (n, r) truth [rad/s]
     esc_speed: FloatArray  # (n, r) by the motors' telemetry [rad/s]: the truth, but for a recorded set
-    log: NDArray[np.void]  # (n,) of `sitl_plant.physics.kernel.LOG`; without fields for a vehicle that keeps none
 
     def __len__(self) -> int:
         return len(self.t_ns)
@@ -220,10 +218,7 @@ class Plant:
 
     def inject(self, injection: Injection) -> None:
         """Add a cause; an onset that is past means from the next step on. Raises UsageError for one that cannot be."""
-        now_s = self._step * STEP_S
-        if injection.end_s <= now_s:
-            raise UsageError(f"end_s must be later than the present {now_s:g} s, not {injection.end_s:g}")
-        placed = self._placed((replace(injection, onset_s=max(injection.onset_s, now_s)),))
+        placed = self._placed((replace(injection, onset_s=max(injection.onset_s, self._step * STEP_S)),))
         self._set_injections((*self._injections, *placed))
         self._note(placed[0])
 
@@ -284,15 +279,15 @@ class Plant:
     def _run(self, steps: int, commands: FloatArray) -> PlantSamples:
         if steps < 0:
             raise UsageError(f"cannot advance by {steps} steps")
-        rows, known = np.empty((steps, TOLD + 2 * self.rotors)), LOG.itemsize // 8
-        log, first, done = np.empty((steps, known + self.rotors if self._own else 0)), self._step, 0
+        rows, esc = np.empty((steps, TOLD + 2 * self.rotors)), np.empty((steps, self.rotors if self._own else 0))
+        first, done = self._step, 0
         while done < steps:
             if self._step >= self._changes_at:
                 self._renew_condition()
             count = min(steps - done, self._changes_at - self._step)
             noise, part = self._streams.draw(self._step, count, self._model), slice(done, done + count)
             held = self._model, self._own, self._rotors, self._sensors, self._state
-            fly(self._step, noise, commands[part], rows[part], log[part], *held)
+            fly(self._step, noise, commands[part], rows[part], esc[part], *held)
             self._step += count
             done += count
         t_ns = (first + np.arange(steps, dtype=np.int64)) * STEP_NS
@@ -301,17 +296,16 @@ class Plant:
         imu, rigid, speed, (battery_v, charge_ah) = told["imu"], told["rigid"], told["speed"], told["battery"].T
         sensed = imu[:, :3], imu[:, 3:], told["estimate"], told["duty"], battery_v, charge_ah
         truth = rigid[:, 6:10], rigid[:, :3], rigid[:, 3:6], rigid[:, 10:13], speed
-        own = (log[:, known:], log[:, :known].view(LOG)[:, 0]) if self._own else (speed, np.empty(steps, []))
         motors = told["motors"][:, 0].astype(np.int64)
-        return PlantSamples(t_ns, told["setpoint"], told["rate"], thrust, *sensed, motors, *truth, *own)
+        told_speed = esc if self._own else speed
+        return PlantSamples(t_ns, told["setpoint"], told["rate"], thrust, *sensed, motors, *truth, told_speed)
 
     def _renew_condition(self) -> None:
-        spans = [injection.span(STEP_S) for injection in self._injections]
-        present = list(compress(self._injections, [first <= self._step < end for first, end in spans]))
+        changes = [injection.first_step(STEP_S) for injection in self._injections]
+        present = list(compress(self._injections, [first <= self._step for first in changes]))
         self._rotors = rotor_condition(self.airframe, present, STEP_S)
         self._sensors = sensor_condition(present)
         self._state.imu.drifted[self._sensors.drift == 0.0] = 0.0
-        changes = [step for span in spans for step in span]
         if self.config.wear is not None:
             self._rotors.thrust_gain[:] *= self.config.wear.gain(self._step * STEP_S)
             changes.append(self._step + WEAR_STEPS)

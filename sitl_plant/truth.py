@@ -57,7 +57,7 @@ class Truth:
                     told: dict[str, object] = {"fault": cause.name, "rotor": rotor, "cause": asdict(cause.cause)}
                     lines.append(self._line("onset", t_ns, told))
             if t_ns % STATE_EVERY_NS == 0:
-                present = any(_ns(cause.onset_s) <= t_ns < _ns(cause.end_s) for cause in self._causes)
+                present = any(_ns(cause.onset_s) <= t_ns for cause in self._causes)
                 state = {"record": "state", "t_s": t_ns * 1e-9, "fault_present": present}
                 columns = {"position_m": samples.position, "velocity_m_s": samples.velocity}
                 columns |= {"quaternion": samples.quaternion, "omega_rad_s": samples.omega}

@@ -21,7 +21,7 @@ from mavdiag.commands.progress import working
 from mavdiag.errors import BaselineError, IdentificationError, InputError, UsageError
 from mavdiag.face import FlightRates, rates, read_log
 from mavdiag.identify import ArxModel, Method, ModelRecord, fit, lab
-from mavdiag.identify.estimate import ORDERS, ResidualReport, best_row, examine_residual, one_step_report, validate
+from mavdiag.identify.estimate import ORDERS, Flights, ResidualReport, best_row, examine_residual, validate
 from mavdiag.identify.estimate import sweep as fit_each
 from mavdiag.identify.lab import Figure, ModelFigures, draw_model, model_figures
 from mavdiag.logs.log import read_bytes
@@ -32,6 +32,7 @@ from mavdiag.telemetry import Axis
 SETTLE_S = 1.0  # of each stretch that the fit figures leave out: it may begin in motion
 WINDOWS_S = (0.02, 0.05, 0.1, 0.2, 0.4)
 SHOWN_ROWS = 12
+SAME_RATE = 0.02  # by which two rates may differ and be called one (our choice)
 RESPONSE_WINDOW_S = 2.0  # of the frequency-response estimate: lines 0.5 Hz apart (our choice)
 PASSED = 0.5  # cycles a window: above it the slope and the smoothing filter no longer pass alike (our choice)
 
@@ -100,16 +101,20 @@ def sweep(
     train = read_log(log, vehicle=vehicle)
     other = None if validation is None else read_log(validation, vehicle=vehicle)
     dt_s, chosen = rates(train, axis).dt_s, opt.parse_order(order)
+    if other is not None and not math.isclose(rates(other, axis).dt_s, dt_s, rel_tol=SAME_RATE):
+        raise UsageError(f"{validation}: its rate is not that of {log}; give --validate a flight of the same rate")
+
+    def flights(window_s: float) -> tuple[Flights, Flights | None]:
+        held_out = None if other is None else rates(other, axis, window_s)
+        return rates(train, axis, window_s)[:2], held_out and held_out[:2]
 
     with working("fitting a model for each; this takes a minute or more ..."):
         if over == "order":
-            flights = rates(train, axis, window)[:2], None if other is None else rates(other, axis, window)[:2]
-            rows = fit_each(((one, 0, *flights) for one in ORDERS), dt=dt_s, method=method)
+            smoothed = flights(window)
+            rows = fit_each(((one, 0, *smoothed) for one in ORDERS), dt=dt_s, method=method)
         else:
             counts = sorted({max(round(seconds / dt_s) | 1, MIN_WINDOW) for seconds in WINDOWS_S})
-            others = (None if other is None else rates(other, axis, n * dt_s)[:2] for n in counts)
-            each = ((n, rates(train, axis, n * dt_s)[:2], held_out) for n, held_out in zip(counts, others, strict=True))
-            rows = fit_each(((chosen, *one) for one in each), dt=dt_s, method=method)
+            rows = fit_each(((chosen, n, *flights(n * dt_s)) for n in counts), dt=dt_s, method=method)
     best = best_row(rows)
     known = sorted((row for row in rows if row.model), key=lambda row: (row is best, row.score), reverse=True)
     lines = []
@@ -136,9 +141,9 @@ def compare_models(
     """Compare the fit, and the thesis's published model, with the frequency response that the data show."""
     flight = rates(read_log(log, vehicle=vehicle), axis, window)
     models = {f"fit {method} {order}": _fitted(flight, order, method)}
-    published = {model.axis: model for model in (lab.THESIS_ROLL, lab.THESIS_PITCH)}.get(axis)
-    if published is not None and math.isclose(flight.dt_s, lab.ASSUMED_DT_S, rel_tol=0.02):
-        models[published.source] = published.scaled
+    if axis in lab.PUBLISHED and math.isclose(flight.dt_s, lab.ASSUMED_DT_S, rel_tol=SAME_RATE):
+        source, printed = lab.PUBLISHED[axis]
+        models[source] = printed
     measured = _response(flight, window)
     if measured is None:
         raise IdentificationError(f"{log}: no stretch of {2 * RESPONSE_WINDOW_S:g} s; record a longer flight")
@@ -167,11 +172,13 @@ def track(
     The estimate has the bias of least squares under noise: look at its changes, not at its values.
     """
     flight = rates(read_log(log, vehicle=vehicle), axis, window)
-    if not (every >= flight.dt_s and memory > flight.dt_s):
-        raise UsageError(f"--every and --memory must be longer than the sample time of {flight.dt_s:g} s")
+    chosen = opt.parse_order(order)
+    least_s = sum(chosen[:2]) * flight.dt_s
+    if not (every >= flight.dt_s and memory > least_s):
+        raise UsageError(f"--every and --memory must be longer than {flight.dt_s:g} and {least_s:g} s for this order")
     count, lines = max(1, round(every / flight.dt_s)), []
     told = {"dt": flight.dt_s, "forgetting": 1.0 - flight.dt_s / memory}
-    for flown, model in lab.track(flight.u, flight.y, opt.parse_order(order), every=count, **told):
+    for flown, model in lab.track(flight.u, flight.y, chosen, every=count, **told):
         found = model_figures(model)
         figures = {"pole_hz": found.poles[0].natural_hz, "damping": found.poles[0].damping}  # of the slowest
         line = {"flight_s": round(flown * flight.dt_s, 3), "dc_gain": found.dc_gain}
@@ -195,7 +202,7 @@ def _residual(model: ArxModel, flight: FlightRates) -> ResidualReport:
     """Tests of the residual over the longest stretch: y - y_sim, or for LS the one-step error, which it makes white."""
     u, y = max(zip(flight.u, flight.y, strict=True), key=lambda pair: len(pair[0]))
     if model.method is Method.LS:
-        return one_step_report(model, u, y)
+        return examine_residual(y[model.lag :] - model.predict(u, y), u[model.lag :])
     settled = round(SETTLE_S / model.dt)
     return examine_residual((y - model.simulate(u))[settled:], u[settled:])
 

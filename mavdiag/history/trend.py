@@ -79,7 +79,7 @@ class Remaining(NamedTuple):
 class Trend:
     """The line at the newest flight: share of the threshold now, its growth a flight, and variances of both.
 
-    scale: standard deviation of a session of one flight. sessions: that it rests on.
+    scale: standard deviation of a session of one flight.
     """
 
     level: float
@@ -88,7 +88,6 @@ class Trend:
     covariance: float
     slope_variance: float
     scale: float
-    sessions: int
 
     def remaining(self) -> Remaining | None:
         """Flights until the level is the threshold; None if it does not grow."""
@@ -108,10 +107,10 @@ class Trend:
         return Remaining(estimate, min(max(first, 0.0), estimate), max(second, estimate))
 
 
-def sessions_of(number: Sequence[int] | IntArray, session: Sequence[int] | IntArray, share: FloatArray) -> Sessions:
-    """Put flights (n,), in order of time, together by session; those without a share (NaN) are left out."""
-    known = np.isfinite(share)
-    x, y, group = np.asarray(number, dtype=np.float64)[known], share[known], np.asarray(session)[known]
+def sessions_of(session: Sequence[int] | IntArray, share: FloatArray) -> Sessions:
+    """Put flights 1 to n, in order of time, together by session; those without a share (NaN) are left out."""
+    known = np.flatnonzero(np.isfinite(share))
+    x, y, group = known + 1.0, share[known], np.asarray(session)[known]
     cuts = np.flatnonzero(np.diff(group)) + 1
     parts = [part for part in zip(np.split(x, cuts), np.split(y, cuts), strict=True) if len(part[0])]
     found = np.array([(xs.mean(), np.median(ys), len(xs)) for xs, ys in parts]).reshape(-1, 3)
@@ -136,7 +135,7 @@ def trend_of(sessions: Sessions, now: float) -> Trend | None:
         h = np.minimum(1.0, HUBER * scale / np.maximum(np.abs(r), 1e-12))
     root = X * (w / np.sqrt(base))[:, None]
     (a, b), (_, c) = (scale**2 * inverse @ (root.T @ root) @ inverse).tolist()
-    return Trend(float(line[0]), float(line[1]), a, b, c, scale, len(y))
+    return Trend(float(line[0]), float(line[1]), a, b, c, scale)
 
 
 def scale_of_steps(sessions: Sessions) -> float:

@@ -60,6 +60,9 @@ class Mark:
     kind: MarkKind
     note: str = ""
 
+    def __str__(self) -> str:
+        return f"{self.kind}: {self.note}" if self.note else self.kind
+
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
@@ -74,7 +77,7 @@ class Stretch:
 class Series:
     """One statistic over the n flights of a stretch. threshold: the highest that judged any of them.
 
-    number, session: (n,) of the flight in its stretch, from 1; flights within an hour are of one session.
+    session: (n,) of the flight in its stretch; flights within an hour are of one session.
     peak: (n,) of the statistic; NaN where it was not judged.
     """
 
@@ -82,7 +85,6 @@ class Series:
     axis: Axis | None
     unit: str
     threshold: float
-    number: IntArray
     session: IntArray
     peak: FloatArray
 
@@ -163,7 +165,7 @@ def stretches_of(flights: Sequence[FlightRecord], marks: Sequence[Mark]) -> tupl
     for place, before in enumerate(flights, 1):
         after = flights[place] if place < len(flights) else None
         until_ns = np.inf if after is None else after.t_ns
-        marked = dict.fromkeys(mark.kind.value for mark in marks if before.t_ns < mark.t_ns <= until_ns)
+        marked = dict.fromkeys(str(mark) for mark in marks if before.t_ns < mark.t_ns <= until_ns)
         other = after is not None and after.baseline != before.baseline
         reason = ", ".join(marked) or (NEW_BASELINE if other else "")
         if reason or after is None:
@@ -185,7 +187,7 @@ def series_of(stretch: Stretch) -> tuple[Series, ...]:
         peak = np.array([slots[key].peak if key in slots else None for slots in figures], dtype=np.float64)
         if np.isfinite(peak).any():
             threshold = max(slot.threshold for slot in there)
-            found.append(Series(*key, there[-1].unit, threshold, np.arange(1, n + 1), session, peak))
+            found.append(Series(*key, there[-1].unit, threshold, session, peak))
     return tuple(found)
 
 
@@ -214,10 +216,10 @@ def review(series: Series) -> Review:
     """Trend, outlook and change points of a series as it stands."""
     share = series.share
     judged = np.flatnonzero(np.isfinite(share))
-    changes = changes_of(sessions_of(series.number, series.session, share))
+    changes = changes_of(sessions_of(series.session, share))
     trend = _trend_at(series, share, int(judged[-1])) if len(judged) >= CONFIRMED else None
     first = _first_level(share)
-    if trend is None or first is None or len(series.number) < FIRST:
+    if trend is None or first is None or len(share) < FIRST:
         return Review(series, Outlook.TOO_FEW, None, None, changes)
     since, grown = warned_at(series), trend.level - first
     error = float(np.hypot(np.sqrt(trend.level_variance), trend.scale / np.sqrt(FIRST / 2)))
@@ -229,21 +231,19 @@ def review(series: Series) -> Review:
     return Review(series, outlook, trend, since if outlook in WARNS else None, changes)
 
 
-def warned_at(series: Series, *, before: int | None = None) -> int | None:
-    """Number of the first flight, before `before`, after which the series was warned of; None if it never was."""
+def warned_at(series: Series) -> int | None:
+    """Number of the first flight after which the series was warned of; None if it never was."""
     share, row = series.share, 0
     first = _first_level(share)
     if first is None:
         return None
     judged = np.flatnonzero(np.isfinite(share))
     for place, at in enumerate(judged.tolist()):
-        if before is not None and series.number[at] >= before:
-            return None
         middle = float(np.median(share[judged[max(place + 1 - RECENT, 0) : place + 1]]))
         far = at + 1 < FIRST or middle - first < HALF * (1.0 - first)
         row = 0 if far or not _is_near(_trend_at(series, share, at), first) else row + 1
         if row >= CONFIRMED:
-            return int(series.number[at])
+            return at + 1
     return None
 
 
@@ -259,8 +259,7 @@ def _is_near(trend: Trend | None, first: float) -> bool:
 
 
 def _trend_at(series: Series, share: FloatArray, at: int) -> Trend | None:
-    cut = slice(0, at + 1)
-    return trend_of(sessions_of(series.number[cut], series.session[cut], share[cut]), float(series.number[at]))
+    return trend_of(sessions_of(series.session[: at + 1], share[: at + 1]), at + 1.0)
 
 
 def _rotor_growth(stretch: Stretch | None) -> tuple[float, ...]:

@@ -51,9 +51,9 @@ class ArxModel:
 
     a: (na + 1,), a[0] == 1. b: (nk + nb,) with nk leading zeros; unit of y per unit of u. dt: sample time [s].
     order: (na, nb, nk). covariance: (d, d) of the d = na + nb estimates `theta`, nan if unknown: by SRIV for output
-    noise of any colour, by LS for white noise in the equation. standard_errors: (d,) square roots of its diagonal.
+    noise of any colour, by LS for white noise in the equation.
     r2t, nrmse_fit, mse: of the training data, nan where unknown, as `Validation`. samples: rows of them.
-    yic: Young's information criterion, ln(1 - r2t) + ln(mean(se^2/theta^2)). iterations, converged: of SRIV.
+    yic: Young's information criterion, ln(1 - r2t) + ln(mean(se^2/theta^2)). converged: whether SRIV settled.
     Raises IdentificationError if the coefficients do not fit the order or are not finite. Only `fit` demands stability.
     """
 
@@ -62,24 +62,21 @@ class ArxModel:
     dt: float
     order: Order
     method: Method
-    standard_errors: FloatArray = field(default_factory=lambda: np.empty(0))
     covariance: FloatArray = field(default_factory=lambda: np.empty(0))
     r2t: float = math.nan
     nrmse_fit: float = math.nan
     mse: float = math.nan
     yic: float = math.nan
     samples: int = 0
-    iterations: int = 0
     converged: bool = True
 
     def __post_init__(self) -> None:
         na, nb, nk = check_order(self.order)
         d = na + nb
         covariance = self.covariance if len(self.covariance) else np.full((d, d), np.nan)
-        errors = self.standard_errors if len(self.standard_errors) else np.sqrt(np.maximum(np.diag(covariance), 0.0))
-        arrays = {"a": self.a, "b": self.b, "standard_errors": errors, "covariance": covariance}
-        if [values.shape for values in arrays.values()] != [(na + 1,), (nb + nk,), (d,), (d, d)]:
-            raise IdentificationError(f"order {self.order} needs {na + 1} a, {nb + nk} b and {d} standard errors")
+        arrays = {"a": self.a, "b": self.b, "covariance": covariance}
+        if [values.shape for values in arrays.values()] != [(na + 1,), (nb + nk,), (d, d)]:
+            raise IdentificationError(f"order {self.order} needs {na + 1} a, {nb + nk} b and {d} by {d} covariances")
         for name, values in arrays.items():
             copy = np.array(values, dtype=np.float64)
             copy.setflags(write=False)
@@ -102,6 +99,11 @@ class ArxModel:
         return np.concatenate((self.a[1:], self.b[self.order[2] :]))
 
     @property
+    def standard_errors(self) -> FloatArray:
+        """Square roots of the covariance's diagonal, (na + nb,), of `theta`."""
+        return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)), dtype=np.float64)
+
+    @property
     def poles(self) -> "NDArray[np.complex128]":
         """Roots of z^na A(z^-1), (na,), largest modulus first."""
         roots = np.roots(self.a).astype(np.complex128)
@@ -118,12 +120,10 @@ class ArxModel:
         denominator = float(np.sum(self.a))
         return float(np.sum(self.b)) / denominator if denominator != 0.0 else math.inf
 
-    def simulate(self, u: FloatArray, past_u: FloatArray | None = None, past_y: FloatArray | None = None) -> FloatArray:
-        """Free-run output for the inputs u, (n,) -> (n,) (T 5.5). past_u, past_y: before u[0], oldest first; else 0."""
-        newest = (np.zeros(0) if past is None else past[::-1][: self.lag] for past in (past_u, past_y))
-        b, a, u0, y0 = (np.pad(one, (0, self.lag + 1 - len(one))) for one in (self.b, self.a, *newest))
-        begun = [b[k:] @ u0[: len(b) - k] - a[k:] @ y0[: len(a) - k] for k in range(1, len(b))]
-        y: FloatArray = filtered(b, a, np.array(u, dtype=np.float64)[:, None], np.array([[*begun, 0.0]]).T)[:, 0]
+    def simulate(self, u: FloatArray) -> FloatArray:
+        """Free-run output from rest for the inputs u, (n,) -> (n,) (T 5.5)."""
+        b, a = (np.pad(one, (0, self.lag + 1 - len(one))) for one in (self.b, self.a))
+        y: FloatArray = filtered(b, a, np.array(u, dtype=np.float64)[:, None], np.zeros((len(b), 1)))[:, 0]
         return y
 
     def predict(self, u: FloatArray, y: FloatArray) -> FloatArray:
@@ -165,7 +165,7 @@ class ModelRecord:
     @classmethod
     def of(cls, model: ArxModel) -> "ModelRecord":
         """The record of a model."""
-        known, correlated = (bool(np.isfinite(one).all()) for one in (model.standard_errors, model.covariance))
+        known = bool(np.isfinite(model.covariance).all())
         r2t, fit, mse = (one if math.isfinite(one) else None for one in (model.r2t, model.nrmse_fit, model.mse))
         return cls(
             a=tuple(model.a.tolist()),
@@ -174,7 +174,7 @@ class ModelRecord:
             order=model.order,
             method=model.method,
             standard_errors=tuple(model.standard_errors.tolist()) if known else (),
-            covariance=tuple(map(tuple, model.covariance.tolist())) if correlated else (),
+            covariance=tuple(map(tuple, model.covariance.tolist())) if known else (),
             r2t=r2t,
             nrmse_fit=fit,
             mse=mse,
@@ -183,11 +183,9 @@ class ModelRecord:
 
     def model(self) -> ArxModel:
         """The model, ready to simulate."""
-        a, b, errors, covariance = map(np.array, (self.a, self.b, self.standard_errors, self.covariance))
+        a, b, covariance = map(np.array, (self.a, self.b, self.covariance))
         r2t, fit, mse = (math.nan if value is None else value for value in (self.r2t, self.nrmse_fit, self.mse))
-        return ArxModel(
-            a, b, self.dt_s, self.order, self.method, errors, covariance, r2t, fit, mse, samples=self.samples
-        )
+        return ArxModel(a, b, self.dt_s, self.order, self.method, covariance, r2t, fit, mse, samples=self.samples)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -203,11 +201,10 @@ class Segment:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimate:
-    """theta: (na + nb,), with its covariance. iterations, converged: of the estimator's own loop."""
+    """theta: (na + nb,), with its covariance. converged: whether the estimator's own loop settled."""
 
     theta: FloatArray
     covariance: FloatArray
-    iterations: int = 0
     converged: bool = True
 
 

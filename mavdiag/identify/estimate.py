@@ -85,34 +85,29 @@ def validate(model: ArxModel, u: Records, y: Records, settle_s: float = 0.0) -> 
 class ResidualReport:
     """Correlations of a residual e with itself and with the input u (Ljung, System Identification 2e, sec. 16.6)."""
 
-    acf: FloatArray  # (lags + 1,) of e(t) with e(t - lag), lag = 0..lags
+    acf: FloatArray  # (LAGS + 1,) of e(t) with e(t - lag), lag = 0..LAGS
     ccf: FloatArray  # of e(t) with u(t - lag)
     acf_band99: float  # half width that holds 99 % of a true model's values
     ccf_band99: float
 
 
-def examine_residual(e: FloatArray, u: FloatArray, lags: int = LAGS) -> ResidualReport:
+def examine_residual(e: FloatArray, u: FloatArray) -> ResidualReport:
     """Correlate a residual e with itself and with the input u at the same rows, both (n,)."""
-    if u.shape != e.shape or e.ndim != 1 or len(e) <= 2 * lags:
-        raise IdentificationError(f"the residual tests need e and u of one length above {2 * lags}")
-    acf, ccf, input_acf = (_correlations(x, z, lags) for x, z in ((e, e), (e, u), (u, u)))
+    if u.shape != e.shape or e.ndim != 1 or len(e) <= 2 * LAGS:
+        raise IdentificationError(f"the residual tests need e and u of one length above {2 * LAGS}")
+    acf, ccf, input_acf = (_correlations(x, z) for x, z in ((e, e), (e, u), (u, u)))
     # Bartlett: var ccf = sum over k = -lags..lags of r_e(k) r_u(k) / n, for coloured e and u
     widened = math.sqrt(max(1.0, 2 * float(acf @ input_acf) - 1.0))
     return ResidualReport(acf, ccf, Z99 / math.sqrt(len(e)), Z99 * widened / math.sqrt(len(e)))
 
 
-def _correlations(x: FloatArray, z: FloatArray, lags: int) -> FloatArray:
-    """sum_t x(t) z(t - lag) / sqrt(sum x^2 sum z^2) of the mean-removed x and z at lags 0..lags."""
+def _correlations(x: FloatArray, z: FloatArray) -> FloatArray:
+    """sum_t x(t) z(t - lag) / sqrt(sum x^2 sum z^2) of the mean-removed x and z at lags 0..LAGS."""
     x, z = x - np.mean(x), z - np.mean(z)
     scale = math.sqrt(float(x @ x) * float(z @ z))
     if scale == 0.0:
         raise IdentificationError("the residual or the input is constant; there is nothing to correlate")
-    return np.array([x[lag:] @ z[: len(z) - lag] for lag in range(lags + 1)]) / scale
-
-
-def one_step_report(model: ArxModel, u: FloatArray, y: FloatArray) -> ResidualReport:
-    """Examine the one-step prediction error, which least squares makes white. u, y: (n,)."""
-    return examine_residual(y[model.lag :] - model.predict(u, y), u[model.lag :])
+    return np.array([x[lag:] @ z[: len(z) - lag] for lag in range(LAGS + 1)]) / scale
 
 
 def fit(
@@ -169,11 +164,9 @@ def fit(
         yic = float(np.sum(np.log(np.maximum((1.0 - quality.r2t, unsure), 0.0)))) if math.isfinite(unsure) else math.inf
     return replace(
         bare,
-        standard_errors=np.empty(0),
         covariance=covariance,
         **{**asdict(quality), "samples": sum(map(len, segments))},
         yic=yic,
-        iterations=estimate.iterations,
         converged=estimate.converged,
     )
 

@@ -14,7 +14,7 @@ principal direction of the parameters' covariance, summed in squares. And the mo
 
 import warnings
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -96,11 +96,11 @@ def model_response(model: ArxModel, frequency_hz: FloatArray) -> "NDArray[np.com
     return np.asarray(freqz(model.b, model.a, frequency_hz, fs=1 / model.dt)[1], dtype=np.complex128)
 
 
-def compare(measured: FrequencyResponse, model: ArxModel, min_coherence: float = MIN_COHERENCE) -> ResponseGap:
+def compare(measured: FrequencyResponse, model: ArxModel) -> ResponseGap:
     """The gap between model and measurement over the lines above 0 Hz with enough coherence."""
-    use = (measured.coherence >= min_coherence) & (measured.frequency_hz > 0.0)
+    use = (measured.coherence >= MIN_COHERENCE) & (measured.frequency_hz > 0.0)
     if not use.any():
-        raise IdentificationError(f"no frequency reaches a coherence of {min_coherence}; fly a richer input")
+        raise IdentificationError(f"no frequency reaches a coherence of {MIN_COHERENCE}; fly a richer input")
     frequency = measured.frequency_hz[use]
     ratio = measured.response[use] / model_response(model, frequency)
     gain_db = float(np.sqrt(np.mean((20.0 * np.log10(np.abs(ratio))) ** 2)))
@@ -118,12 +118,15 @@ def track(
 ) -> Iterator[tuple[int, ArxModel]]:
     """Follow a model through one record or several; yield it, and how many samples it has seen, at each so many.
 
-    forgetting: weight lambda of the past per sample, 0 < lambda <= 1; the memory is about 1/(1 - lambda) samples.
+    forgetting: weight lambda of the past per sample, at most 1; the memory is about 1/(1 - lambda) samples, which must
+    be more than the parameters. Nothing is yielded before so many were seen.
     The model may be unstable; its covariance is P times the weighted mean of the error before x after each step.
     """
     d = sum(check_order(order)[:2])
-    if not 0.0 < forgetting <= 1.0:
-        raise IdentificationError(f"forgetting must be above 0 and at most 1, not {forgetting}")
+    if not 1.0 - 1.0 / d < forgetting <= 1.0:
+        raise IdentificationError(
+            f"forgetting must be above {1 - 1 / d:g}, for {d} parameters, up to 1, not {forgetting}"
+        )
     theta, P, loss, weight, seen = np.zeros(d), np.eye(d) * FIRST_SPREAD, 0.0, 0.0, 0
     for segment in to_segments(u, y, order):
         Phi, target = regressors(segment, order)
@@ -141,39 +144,24 @@ def track(
                 weight = forgetting * weight + 1.0
                 loss += (error * (measured - float(phi @ theta)) - loss) / weight
             seen = begin + min(first + every, len(segment))
-            if weight <= d:
-                raise IdentificationError("the recursive estimate has seen too few samples; keep feeding it")
-            yield seen, ArxModel(*polynomials(theta, order), dt, order, Method.RLS, covariance=P * loss)
+            if weight > d:
+                yield seen, ArxModel(*polynomials(theta, order), dt, order, Method.RLS, covariance=P * loss)
 
 
 ASSUMED_DT_S = 0.001  # the logs were taken at 1 kHz (T 5.3); the models do not say
 
 
-@dataclass(frozen=True, slots=True)
-class ReferenceModel:
-    """A published model, as printed, with the factor on an input in rad/s that gives an output in rad/s (estimated)."""
-
-    axis: Axis
-    model: ArxModel
-    input_scale: float
-    source: str
-
-    @property
-    def scaled(self) -> ArxModel:
-        """The model from a commanded to a measured rate, both in rad/s."""
-        return replace(self.model, b=self.model.b * self.input_scale)
+def _printed(a: list[float], b: list[float], input_scale: float) -> ArxModel:
+    return ArxModel(np.array(a), np.array(b) * input_scale, ASSUMED_DT_S, (2, 2, 1), Method.PUBLISHED)
 
 
-def _printed(*coefficients: list[float]) -> ArxModel:
-    a, b = map(np.array, coefficients)
-    return ArxModel(a, b, ASSUMED_DT_S, (2, 2, 1), Method.PUBLISHED)
-
-
-#: Poles 0.9985 and 0.534, gain 194.
-THESIS_ROLL = ReferenceModel(Axis.ROLL, _printed([1.0, -1.5326, 0.5333], [0.0, 0.0743, 0.0616]), 1 / 75, "T Eq 5.1")
-
-#: Poles 0.9908 and 0.9455, gain 317.
-THESIS_PITCH = ReferenceModel(Axis.PITCH, _printed([1.0, -1.9363, 0.9368], [0.0, 0.1014, 0.0573]), 1 / 298, "T Eq 5.2")
+PUBLISHED = {
+    # poles 0.9985 and 0.534, gain 194 as printed
+    Axis.ROLL: ("T Eq 5.1", _printed([1.0, -1.5326, 0.5333], [0.0, 0.0743, 0.0616], 1 / 75)),
+    # poles 0.9908 and 0.9455, gain 317 as printed
+    Axis.PITCH: ("T Eq 5.2", _printed([1.0, -1.9363, 0.9368], [0.0, 0.1014, 0.0573], 1 / 298)),
+}
+"""By axis where the thesis prints a model, and the model from a commanded to a measured rate, both in rad/s."""
 
 
 STEP = 0.01  # of a standard deviation: small enough to be linear, large enough for the root finders (our choice)
@@ -232,9 +220,7 @@ def model_figures(model: ArxModel) -> ModelFigures:
             natural, damping, poles = control.damp(one.to_control(), doprint=False)
             nearest = [int(np.argmin(np.abs(poles - pole))) for pole in upper]
             of_poles = np.column_stack((poles.real, np.abs(poles.imag), natural / (2.0 * np.pi), damping))[nearest]
-            size = one.lag + 1
-            B, A = (np.pad(values, (0, size - len(values))) for values in (one.b, one.a))
-            loop = control.TransferFunction(B, A - B, one.dt)
+            loop = control.feedback(one.to_control(), 1, sign=1)  # T / (1 - T)
             gain, phase, modulus = control.stability_margins(loop)[:3]
             at_nyquist = float(np.real(loop(-1.0)))
             if not np.isfinite(gain) and at_nyquist < 0.0:  # control does not look for a crossing there
@@ -246,29 +232,25 @@ def model_figures(model: ArxModel) -> ModelFigures:
         for value, error in np.stack((values(model), deviations(model, values))).T.tolist()
     ]
     poles = tuple(PoleFigures(*found[4 * i : 4 * i + 4]) for i in range(len(upper)))
-    rests_on = "nothing: the model carries no standard errors"
-    if np.isfinite(model.covariance).all():
-        rests_on = "the covariance of the parameters"
-    elif np.isfinite(model.standard_errors).all():
-        rests_on = "the standard errors of the parameters; their correlations are not known, so these are rough"
+    known = bool(np.isfinite(model.covariance).all())
+    rests_on = "the covariance of the parameters" if known else "nothing: the model carries none"
     dc_gain, bandwidth, gain, phase, modulus = found[4 * len(upper) :]
     return ModelFigures(poles, dc_gain, bandwidth, gain, phase, modulus, rests_on)
 
 
 def deviations(model: ArxModel, values: Callable[[ArxModel], FloatArray]) -> FloatArray:
     """Standard errors of any figures `values` of a model, (k,); nan where the parameters' own are not known."""
-    known = np.isfinite(model.covariance).all()
-    covariance = model.covariance if known else np.diag(model.standard_errors**2)
-    if not np.isfinite(covariance).all():
+    if not np.isfinite(model.covariance).all():
         return np.full_like(values(model), np.nan)
-    variances, directions = np.linalg.eigh(covariance)
+    variances, directions = np.linalg.eigh(model.covariance)
     squares = np.zeros_like(values(model))
     for move in STEP * (directions * np.sqrt(np.maximum(variances, 0.0))).T:
         ahead, behind = (
             values(ArxModel(*polynomials(theta, model.order), model.dt, model.order, model.method))
             for theta in (model.theta + move, model.theta - move)
         )
-        squares += ((ahead - behind) / (2.0 * STEP)) ** 2
+        with np.errstate(invalid="ignore"):  # infinity less infinity is no figure
+            squares += ((ahead - behind) / (2.0 * STEP)) ** 2
     return np.asarray(np.sqrt(squares), dtype=np.float64)
 
 

@@ -50,16 +50,15 @@ def sriv(segments: Sequence[Segment], order: Order, figures: bool = True, near: 
     settled = False
     if near is not None:
         with suppress(IdentificationError):
-            point, iterations, settled = _refine(data, order, _evaluate(data, order, near))
+            point, settled = _refine(data, order, _evaluate(data, order, near))
     if not settled:
         a, b = polynomials(least_squares(segments, order).theta, order)
         first = _evaluate(data, order, np.concatenate((reflect_poles(a)[1:], b[order[2] :])))
-        point, iterations, settled = _refine(data, order, first)
+        point, settled = _refine(data, order, first)
     if not settled:
-        point, more, settled = _descend(data, order, point)
-        iterations += more
+        point, settled = _descend(data, order, point)
     covariance = _coloured(data, order, point) if figures else np.full_like(point.inverse, np.nan)
-    return Estimate(point.theta, covariance, iterations, settled)
+    return Estimate(point.theta, covariance, settled)
 
 
 def reflect_poles(a: FloatArray) -> FloatArray:
@@ -108,25 +107,25 @@ def _evaluate(data: Sequence[FloatArray], order: Order, theta: FloatArray) -> _P
     return _Point(theta, refined, theta + move, inverse, errors, squares / n, n)
 
 
-def _refine(data: Sequence[FloatArray], order: Order, point: _Point) -> tuple[_Point, int, bool]:
-    """SRIV proper, unstable poles reflected: the last or else best point, iterations, settled."""
+def _refine(data: Sequence[FloatArray], order: Order, point: _Point) -> tuple[_Point, bool]:
+    """SRIV proper, unstable poles reflected: the last or else best point, and whether it settled."""
     best, best_at, iteration = point, 0, 0
     while iteration < best_at + PATIENCE:
         if point.settled(point.refined, SETTLED) and point.loss <= best.loss * (1.0 + PROGRESS):
-            return point, iteration, True
+            return point, True
         iteration += 1
         stable = reflect_poles(polynomials(point.refined, order)[0])
         point = _evaluate(data, order, np.concatenate((stable[1:], point.refined[order[0] :])))
         if point.loss < best.loss * (1.0 - PROGRESS):
             best, best_at = point, iteration
-    return best, iteration, False
+    return best, False
 
 
-def _descend(data: Sequence[FloatArray], order: Order, point: _Point) -> tuple[_Point, int, bool]:
+def _descend(data: Sequence[FloatArray], order: Order, point: _Point) -> tuple[_Point, bool]:
     """Gauss-Newton on the same equations: each step halved until the model is stable and better."""
-    for iteration in range(MAX_DESCENT):
+    for _ in range(MAX_DESCENT):
         if point.settled(point.descent, SETTLED):
-            return point, iteration, True
+            return point, True
         for halvings in range(MAX_HALVINGS):
             theta = point.theta + (point.descent - point.theta) * 0.5**halvings
             if np.all(np.abs(np.roots(polynomials(theta, order)[0])) < 1.0):
@@ -136,7 +135,7 @@ def _descend(data: Sequence[FloatArray], order: Order, point: _Point) -> tuple[_
         else:
             break
         point = better
-    return point, iteration, point.settled(point.descent, NEARLY_SETTLED)
+    return point, point.settled(point.descent, NEARLY_SETTLED)
 
 
 def _filtered(group: FloatArray, order: Order, theta: FloatArray) -> FloatArray:

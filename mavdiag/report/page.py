@@ -203,7 +203,7 @@ def _trends(overview: Overview) -> Picture | None:
     parts: dict[str, list[tuple[FloatArray, FloatArray]]] = {}
     for stretch in overview.stretches:
         for series in series_of(stretch):
-            number = series.number.astype(np.float64) + stretch.first - 1
+            number = np.arange(len(series.peak), dtype=np.float64) + stretch.first
             parts.setdefault(series.name, []).append((number, series.share))
     warned = {found.series.name for found in overview.warned}
     marks = [(one.first - 0.5, one.began) for one in overview.stretches if one.began and one.flights]

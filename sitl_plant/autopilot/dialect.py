@@ -5,7 +5,7 @@ emulator departs from them, so that it is useful without being asked, the row sa
 number of a mode (AP_Mode); PX4 packs a main mode into byte 2 and a sub mode into byte 3 (px4_custom_mode.h).
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import NamedTuple
@@ -16,7 +16,7 @@ from mavdiag.link.messages import MODES, Autopilot, MavResult, MessageId
 from mavdiag.link.parameters import Encoding, Kind, Parameter
 from mavdiag.link.profiles import PROFILES, Profile, profile_named
 from sitl_plant.autopilot.schedule import Schedule
-from sitl_plant.vehicle import Vehicle, airframe_of
+from sitl_plant.vehicle import Rotor, Vehicle, airframe_of
 
 ESC_GROUP = 4  # rotors in one message of their speeds
 FRAME_CLASSES, FRAME_TYPES = {4: 1, 6: 2, 8: 3}, (0, 1)  # ArduPilot: quad, hexa, octa; plus, X
@@ -136,14 +136,11 @@ class Dialect:
         return Schedule(rates, self.ceiling_hz, self.whole_ms, self.attained_hz)
 
     def parameters_of(self, vehicle: Vehicle) -> tuple[Parameter, ...]:
-        """The parameters of a vehicle: the dialect's, its geometry as the autopilot has it, those that can be set."""
+        """The parameters of a vehicle: the dialect's, its geometry as the autopilot has it, the emulator's own."""
         px4 = self.encoding is Encoding.BYTES
-        geometry = _px4_rotors(vehicle) if px4 else _copter_frame(vehicle)
+        geometry = _px4_frame(vehicle) if px4 else _copter_frame(vehicle)
         own = Parameter("MAV_SYS_ID" if px4 else "SYSID_THISMAV", self.sysid, Kind.INT16)
-        fixed, settable = (
-            [row for row in self.parameters if (row.span is None) is is_fixed] for is_fixed in (True, False)
-        )
-        return (own, *fixed, *geometry, *settable, *OWN_PARAMETERS)
+        return (own, *self.parameters, *geometry, *OWN_PARAMETERS)
 
     def code(self, custom_mode: int) -> ModeCode | None:
         """The mode of a number; None if there is none."""
@@ -166,13 +163,18 @@ def _copter_frame(vehicle: Vehicle) -> tuple[Parameter, ...]:
     return (Parameter("FRAME_CLASS", frame, Kind.INT8),)
 
 
-def _px4_rotors(vehicle: Vehicle) -> tuple[Parameter, ...]:
-    rows = [Parameter("CA_ROTOR_COUNT", len(vehicle.rotors), Kind.INT32)]
-    moment = 1.0 / vehicle.propulsion.thrust_per_torque_1_m
-    for n, rotor in enumerate(vehicle.rotors):
-        values = {"PX": rotor.position_m[0], "PY": rotor.position_m[1], "KM": -rotor.sign * moment}
-        rows += [Parameter(f"CA_ROTOR{n}_{part}", value) for part, value in values.items()]
-    return tuple(rows)
+def _px4_frame(vehicle: Vehicle) -> tuple[Parameter, ...]:
+    count, *places = px4_rotors(vehicle, vehicle.rotors).items()
+    return Parameter(*count, Kind.INT32), *(Parameter(*place) for place in places)
+
+
+def px4_rotors(vehicle: Vehicle, rotors: Sequence[Rotor]) -> dict[str, int | float]:
+    """PX4's parameters of rotors in the order of its motors; their moment is positive for counter-clockwise."""
+    rows: dict[str, int | float] = {"CA_ROTOR_COUNT": len(rotors)}
+    for motor, rotor in enumerate(rotors):
+        rows |= {f"CA_ROTOR{motor}_P{axis}": place for axis, place in zip("XYZ", rotor.position_m, strict=True)}
+        rows[f"CA_ROTOR{motor}_KM"] = round(-rotor.sign / vehicle.propulsion.thrust_per_torque_1_m, 5)
+    return rows
 
 
 _STATE: dict[int, float] = {MessageId.HEARTBEAT: 1.0, MessageId.SYS_STATUS: 2.0, MessageId.EXTENDED_SYS_STATE: 1.0}

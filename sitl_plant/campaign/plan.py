@@ -215,7 +215,6 @@ class LearnTask:
 
     vehicle: Vehicle = field(repr=False)
     airframe: int
-    aged: bool
     link: str
     flights: tuple[Conditions, ...]
     duration_s: float
@@ -395,7 +394,7 @@ def _learning(design: Design, airframe: int, link: str, vehicle: Vehicle) -> Lea
     drawn = [balanced(getattr(design, axis), count, design.seed, f"learn {airframe} {axis}") for axis in axes]
     mixed = [Conditions(*levels) for levels in zip(*drawn, strict=True)]
     flights = tuple(mixed[i] if design.learn == "mixed" and i % 2 else Conditions() for i in range(count))
-    return LearnTask(vehicle, airframe, airframe % 2 == 1, link, flights, design.duration_s)
+    return LearnTask(vehicle, airframe, link, flights, design.duration_s)
 
 
 def balanced(levels: Sequence[Level], count: int, seed: int, factor: str) -> list[Level]:

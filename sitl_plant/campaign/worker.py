@@ -27,7 +27,7 @@ from mavdiag.judging import JudgedFlight, LogVerdict, Verdict, judge_in_full
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.storage import begins
 from mavdiag.telemetry import Log
-from mavdiag.units import NS_PER_S, S_PER_H
+from mavdiag.units import NS_PER_S
 from sitl_plant.autopilot.telemetry import flight_telemetry
 from sitl_plant.campaign.plan import (
     CONDITIONS,
@@ -73,7 +73,6 @@ class LearnResult:
     link: str
     baseline: str = ""
     error: str = ""
-    judged_s: float = 0.0
     record: Literal["learn"] = "learn"
 
 
@@ -138,10 +137,10 @@ Job = TypeVar("Job", bound=tuple[Any, ...])
 _LINE: TypeAdapter[Line] = TypeAdapter(Annotated[Line, Field(discriminator="record")])
 
 
-def specimen(seed: int, number: int, aged: bool, vehicle: Vehicle) -> Airframe:
-    """Airframe `number` of the campaign: drawn afresh, none of drones 1 to 3."""
+def specimen(seed: int, number: int, vehicle: Vehicle) -> Airframe:
+    """Airframe `number` of the campaign: drawn afresh, none of drones 1 to 3; every second one is aged."""
     rng = np.random.default_rng(np.random.SeedSequence([seed, 0xA1F, number]))
-    return draw_airframe(vehicle, aged, rng, f"airframe {number}")
+    return draw_airframe(vehicle, number % 2 == 1, rng, f"airframe {number}")
 
 
 def _config(airframe: Airframe, flown: Conditions, duration_s: float, rng: np.random.Generator) -> PlantConfig:
@@ -195,7 +194,7 @@ def _flown(
 def learn_task(job: tuple[str, LearnTask], seed: int) -> LearnResult:
     """Fly an airframe's healthy flights and learn from them. job: key and task."""
     key, task = job
-    airframe, flights = specimen(seed, task.airframe, task.aged, task.vehicle), []
+    airframe, flights = specimen(seed, task.airframe, task.vehicle), []
     for number, child in enumerate(task_sequence(seed, task).spawn(len(task.flights))):
         config = _config(airframe, task.flights[number], task.duration_s, np.random.default_rng(child))
         flights.append(_flown(config, task, task.duration_s, 0.0, f"{airframe.name} healthy {number}", 0, number)[0])
@@ -203,14 +202,14 @@ def learn_task(job: tuple[str, LearnTask], seed: int) -> LearnResult:
         baseline = learn(flights, LearnOptions(airframe=airframe_of(airframe.vehicle, airframe.name)), created=CREATED)
     except MavdiagError as error:
         return LearnResult(key, task.airframe, task.link, error=str(error))
-    return LearnResult(key, task.airframe, task.link, dump(baseline), judged_s=S_PER_H * baseline.healthy_hours)
+    return LearnResult(key, task.airframe, task.link, dump(baseline))
 
 
 def fly_task(job: tuple[str, FlightTask, LearnResult], seed: int) -> FlightResult:
     """Fly once and judge the flight by what was learnt of the airframe. job: key, task, and that."""
     key, task, learnt = job
     drawn, row, sequence = task.learnt, CONDITIONS[task.conditions.condition], task_sequence(seed, task)
-    airframe, wear = _on_the_day(seed, specimen(seed, drawn.airframe, drawn.aged, drawn.vehicle), task)
+    airframe, wear = _on_the_day(seed, specimen(seed, drawn.airframe, drawn.vehicle), task)
     rng, own = np.random.default_rng(sequence), np.random.default_rng(sequence.spawn(1)[0])
     onset_s = None if task.cause == HEALTHY else round(task.duration_s * float(rng.uniform(*ONSET)), 3)
     injections = injections_of(task.cause, task.rotor, onset_s or 0.0, task.phenomenology, rng)
@@ -366,7 +365,6 @@ class Results:
     """The results of a design, in the order of its plan."""
 
     design: Design
-    learnt: tuple[LearnResult, ...]
     flights: tuple[FlightResult, ...]
     reused: int  # results that were in the file already
     others: int  # lines of other campaigns, or of another version
@@ -399,4 +397,4 @@ def run_campaign(design: Design, journal: Journal, workers: int | str) -> Result
     found = {task: line for key, task in learning.items() if isinstance(line := journal.lines[key], LearnResult)}
     work("flying", partial(fly_task, seed=seed), [(key, task, found[task.learnt]) for key, task in flights.items()])
     flown = tuple(line for key in flights if isinstance(line := journal.lines[key], FlightResult))
-    return Results(design, tuple(found.values()), flown, reused, others)
+    return Results(design, flown, reused, others)

@@ -13,6 +13,7 @@ import numpy as np
 from mavdiag.errors import UsageError
 from mavdiag.link.parameters import Kind
 from mavdiag.telemetry import FloatArray, IntArray
+from sitl_plant.autopilot.dialect import px4_rotors
 from sitl_plant.physics.faults import Injection
 from sitl_plant.physics.parameters import STEP_S
 from sitl_plant.plant import Change, Plant, PlantConfig, PlantSamples
@@ -73,15 +74,10 @@ def parameter_file(vehicle: Vehicle, autopilot: AutopilotName, *, hardware: bool
     head = f"# {vehicle.name} of sitl-plant: suggested for a simulation, not for a vehicle that flies\n"
     if autopilot == "ardupilot":
         return head + "".join(f"{name},{value}\n" for name, value in pilot.parameters.items())
-    rows: dict[str, int | float] = {**pilot.parameters, "CA_ROTOR_COUNT": len(pilot.rotors)}
-    for motor, number in enumerate(pilot.rotors):  # the moment over thrust is positive for counter-clockwise
-        rotor = vehicle.rotors[number - 1]
-        rows |= {f"CA_ROTOR{motor}_P{axis}": place for axis, place in zip("XYZ", rotor.position_m, strict=True)}
-        rows[f"CA_ROTOR{motor}_KM"] = round(-rotor.sign / vehicle.propulsion.thrust_per_torque_1_m, 5)
+    rows = {**pilot.parameters, **px4_rotors(vehicle, [vehicle.rotors[number - 1] for number in pilot.rotors])}
+    rows |= {"SYS_HITL": 1} if hardware else {}
     output = "HIL_ACT_FUNC" if hardware else "PWM_MAIN_FUNC"
-    rows |= ({"SYS_HITL": 1} if hardware else {}) | {
-        f"{output}{1 + n}": FIRST_MOTOR + n for n in range(len(pilot.rotors))
-    }
+    rows |= {f"{output}{1 + n}": FIRST_MOTOR + n for n in range(len(pilot.rotors))}
     kinds = {int: Kind.INT32, float: Kind.REAL32}
     lines = (f"1\t1\t{name}\t{value}\t{kinds[type(value)]}\n" for name, value in rows.items())
     return head + "# Vehicle-Id Component-Id Name Value Type\n" + "".join(lines)
@@ -128,6 +124,5 @@ class Simulation:
             if self.takeoff_s is None and self.now.position[0, 2] < -FLYING_M:
                 self.takeoff_s = self.t_s
                 for cause in self._after_takeoff:
-                    later = replace(cause, onset_s=cause.onset_s + self.t_s, end_s=cause.end_s + self.t_s)
-                    self.plant.inject(later)
+                    self.plant.inject(replace(cause, onset_s=cause.onset_s + self.t_s))
         return self.now

@@ -110,9 +110,6 @@ class ControlState(NamedTuple):
     wrench: FloatArray  # (4,) thrust [N] and torques [N m]
     duty: FloatArray  # (n,) 0..1
     motors: FloatArray  # (1,) 0 disarmed, 1 armed and idle, 2 flying
-    pid: FloatArray  # (4,) before the limits: roll and pitch [rad], thrust deviation [N], yaw rate [rad/s]
-    asked: FloatArray  # (3,) torques before their limit
-    desired: FloatArray  # (4,) the reference x, y, z, yaw
 
 
 def second_order(wn_rad_s: float, zeta: float, dt_s: float) -> Transition:
@@ -143,6 +140,14 @@ def tilt_from_accel(f_x: float, f_y: float, f_z: float) -> tuple[float, float]:
 
 
 @jit
+def euler_rates(phi: float, theta: float, p: float, q: float, r: float) -> tuple[float, float, float]:
+    """The slopes of roll, pitch and yaw under these body rates, W(eta) rate [rad/s]."""
+    sine, cosine = math.sin(phi), math.cos(phi)
+    turn = (q * sine + r * cosine) / math.cos(theta)
+    return p + math.sin(theta) * turn, q * cosine - r * sine, turn
+
+
+@jit
 def advance_estimate(
     estimate: FloatArray, accel: FloatArray, estimator: Estimator, reading: FloatArray, yaw_seen: float, dt: float
 ) -> None:
@@ -155,13 +160,10 @@ def advance_estimate(
         accel[i] += estimator.accel_gain * (reading[3 + i] - accel[i])
     phi_acc, theta_acc = tilt_from_accel(accel[0], accel[1], accel[2])
     phi, theta, psi = estimate[0], estimate[1], estimate[2]
-    p, q, r = estimate[3], estimate[4], estimate[5]
-    sine, cosine = math.sin(phi), math.cos(phi)
-    turn = (q * sine + r * cosine) / math.cos(theta)
-    phi += dt * (p + math.sin(theta) * turn) + estimator.correction * wrapped(phi_acc - phi)
-    psi += dt * turn + estimator.correction * wrapped(yaw_seen - psi)
-    theta += dt * (q * cosine - r * sine) + estimator.correction * (theta_acc - theta)
-    estimate[0], estimate[1], estimate[2] = wrapped(phi), wrapped(theta), wrapped(psi)
+    dphi, dtheta, dpsi = euler_rates(phi, theta, estimate[3], estimate[4], estimate[5])
+    estimate[0] = wrapped(phi + (dt * dphi + estimator.correction * wrapped(phi_acc - phi)))
+    estimate[1] = wrapped(theta + (dt * dtheta + estimator.correction * (theta_acc - theta)))
+    estimate[2] = wrapped(psi + (dt * dpsi + estimator.correction * wrapped(yaw_seen - psi)))
 
 
 @jit
@@ -174,17 +176,15 @@ def advance_estimates(
         _low_pass(state.accel[k], state.accel_slope[k], filters.accel, reading[k, 3:])
         phi_seen, theta_seen = tilt_from_accel(state.accel[k, 0], state.accel[k, 1], state.accel[k, 2])
         phi, theta = state.angle[k, 0], state.angle[k, 1]
-        p, q, r = reading[k, 0], reading[k, 1], reading[k, 2]
-        sine, cosine = math.sin(phi), math.cos(phi)
-        turn = (q * sine + r * cosine) / math.cos(theta)
+        dphi, dtheta, dpsi = euler_rates(phi, theta, reading[k, 0], reading[k, 1], reading[k, 2])
         error_phi, error_theta = wrapped(phi_seen - phi), theta_seen - theta
         state.correction[k, 0] += dt * filters.correction_i * error_phi
         state.correction[k, 1] += dt * filters.correction_i * error_theta
-        dphi = p + math.sin(theta) * turn + filters.correction_p * error_phi + state.correction[k, 0]
-        dtheta = q * cosine - r * sine + filters.correction_p * error_theta + state.correction[k, 1]
+        dphi = dphi + filters.correction_p * error_phi + state.correction[k, 0]
+        dtheta = dtheta + filters.correction_p * error_theta + state.correction[k, 1]
         state.angle[k, 0] = wrapped(phi + dt * dphi)
         state.angle[k, 1] = wrapped(theta + dt * dtheta)
-        state.angle[k, 2] += dt * turn
+        state.angle[k, 2] += dt * dpsi
     for axis in range(3):
         estimate[axis] = 0.5 * (state.angle[0, axis] + state.angle[1, axis])
         estimate[3 + axis] = 0.5 * (state.rate[0, axis] + state.rate[1, axis])
@@ -242,9 +242,9 @@ def _outer_loop(
     right = _piv(state, gains, 1, c * e_e - s * e_n, c * v_e - s * v_n, dt)
     down = _piv(state, gains, 2, path[2] - pose[2], path[5] - speed[2], dt)
     turn = _piv(state, gains, 3, wrapped(path[6] - pose[3]), path[7] - r, dt)
-    state.pid[0], state.pid[1], state.pid[2], state.pid[3] = right, -ahead, -down, turn
     state.setpoint[0] = _clip(right, -gains.tilt_limit, gains.tilt_limit)
     state.setpoint[1] = _clip(-ahead, -gains.tilt_limit, gains.tilt_limit)
+    state.rate[2] = _clip(gains.yaw_rate * turn, -gains.rate_limit[2], gains.rate_limit[2])
     state.wrench[0] = _clip(gains.trim - down, gains.thrust_limit[0], gains.thrust_limit[1])
 
 
@@ -253,14 +253,13 @@ def _inner_loop(
     state: ControlState, gains: Controller, estimate: FloatArray, thrust_map: ThrustMap | None, volts: float
 ) -> None:
     """Attitude to rates to torques to duties (T Eq 2.36, 2.40, 2.43, 2.44)."""
-    state.rate[2] = _clip(gains.yaw_rate * state.pid[3], -gains.rate_limit[2], gains.rate_limit[2])
     for axis in range(2):
         rate = gains.attitude_p * (state.setpoint[axis] - estimate[axis]) + gains.attitude_d * estimate[3 + axis]
         state.rate[axis] = _clip(rate, -gains.rate_limit[axis], gains.rate_limit[axis])
     for axis in range(3):
         torque = gains.rate_gain[axis, 0] * (state.rate[axis] - estimate[3 + axis])
-        state.asked[axis] = torque + gains.rate_gain[axis, 1] * estimate[6 + axis]
-        state.wrench[1 + axis] = _clip(state.asked[axis], -gains.torque_limit[axis], gains.torque_limit[axis])
+        torque += gains.rate_gain[axis, 1] * estimate[6 + axis]
+        state.wrench[1 + axis] = _clip(torque, -gains.torque_limit[axis], gains.torque_limit[axis])
     for i in range(len(state.duty)):
         force = 0.0
         for k in range(4):
@@ -279,9 +278,7 @@ def _stand(state: ControlState, gains: Controller) -> None:
     rests = len(state.duty) * gains.full_thrust * duty * duty
     state.wrench[0] = gains.ground_thrust if idle and gains.ground_thrust > 0.0 else rests
     for axis in range(3):
-        state.setpoint[axis] = state.rate[axis] = state.wrench[1 + axis] = state.asked[axis] = 0.0
-    for i in range(4):
-        state.pid[i] = 0.0
+        state.setpoint[axis] = state.rate[axis] = state.wrench[1 + axis] = 0.0
     for i in range(len(state.duty)):
         state.duty[i] = duty
 
@@ -311,7 +308,6 @@ def control(
         _outer_loop(state, gains, path, pose, velocity, yaw_rate, dt)
     else:
         _stand(state, gains)
-    state.desired[0], state.desired[1], state.desired[2] = path[0], path[1], path[2]
-    state.desired[3] = state.setpoint[2] = path[6]
+    state.setpoint[2] = path[6]
     if state.motors[0] == FLYING or (state.motors[0] == IDLE and not loops_rest):
         _inner_loop(state, gains, estimate, thrust_map, volts)

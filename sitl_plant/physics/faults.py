@@ -1,6 +1,6 @@
-"""What can be made to go wrong in flight, as data: a cause, where, from when to when (T 1.2); T's nine propellers.
+"""What can be made to go wrong in flight, as data: a cause, where, and from when on (T 1.2); T's nine propellers.
 
-A plant holds a tuple of `Injection`s. Between two onsets or ends nothing changes, so their effect is a pair of constant
+A plant holds a tuple of `Injection`s. Between two onsets nothing changes, so their effect is a pair of constant
 tables for the compiled loop. Thrust loss and drag increase are from T or estimated from it; the unbalance is what T
 Table 3.2 *prints*; what does not agree in T's tables is listed in `mavdiag.airframe.propellers`.
 
@@ -70,24 +70,23 @@ class SensorFault:
 
 @dataclass(frozen=True, slots=True)
 class Injection:
-    """A cause, present from onset_s to end_s of flight time. rotor: 1..n as in T Eq 2.2-2.4; unused for sensors."""
+    """A cause, present from onset_s of flight time on. rotor: 1..n as in T Eq 2.2-2.4; unused for sensors."""
 
     cause: RotorDamage | SensorFault
     rotor: int = 1
     onset_s: float = 0.0
-    end_s: float = math.inf
     angle_rad: float | None = None  # of the damage in the rotor's frame; None lets the plant draw it
     name: str | None = None  # what the truth file calls it, as the code of a fault; None for a cause without a name
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.onset_s) and self.end_s > self.onset_s):
-            raise UsageError(f"onset_s must be a finite time before end_s, not {self.onset_s:g} and {self.end_s:g}")
+        if not math.isfinite(self.onset_s):
+            raise UsageError(f"onset_s must be a finite time, not {self.onset_s:g}")
         if self.angle_rad is not None and not math.isfinite(self.angle_rad):
             raise UsageError("angle_rad must be a finite angle")
 
-    def span(self, dt_s: float) -> tuple[int, int]:
-        """First step of presence and first step after it. An onset at or before 0 is present before the flight, too."""
-        return -NEVER if self.onset_s <= 0.0 else step_at(self.onset_s, dt_s), step_at(self.end_s, dt_s)
+    def first_step(self, dt_s: float) -> int:
+        """First step of presence. What begins at or before 0 is present before the flight, too."""
+        return -NEVER if self.onset_s <= 0.0 else step_at(self.onset_s, dt_s)
 
 
 @dataclass(frozen=True, slots=True)

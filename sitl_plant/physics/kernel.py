@@ -22,23 +22,6 @@ from sitl_plant.physics.air import Air, Dryden, Turbulence, advance_wind
 from sitl_plant.physics.trajectory import DISARMED, FLYING, Path, reference
 
 Faults: TypeAlias = sensors.SensorCondition
-_EACH = ("f8", (sensors.IMUS, 3))
-LOG = np.dtype(
-    [
-        ("angle", *_EACH),  # each IMU's estimate [rad]; its yaw is the gyro's integral and drifts
-        ("rate", *_EACH),  # filtered body rates [rad/s]
-        ("acceleration", *_EACH),  # and their slopes [rad/s^2]
-        ("gyro", *_EACH),  # raw readings, as the next
-        ("accel", *_EACH),
-        ("torque_asked", "f8", 3),  # before the limit [N m]
-        ("torque", "f8", 3),  # after it
-        ("thrust", "f8"),  # commanded [N], trim included
-        ("pid", "f8", 4),  # roll, pitch before their limit [rad], thrust deviation [N], yaw-rate reference [rad/s]
-        ("desired", "f8", 4),  # set-point: north, east, down [m], yaw [rad]
-        ("pose", "f8", 4),  # of the cameras
-    ]
-)
-"""What a vehicle as it was recorded knows at a step, as its recordings name it, but in FRD and NED instead of FLU."""
 OUTAGE_S = (0.3, 2.0)  # an outage of the cameras lasts so long, uniform (our choice)
 
 
@@ -164,30 +147,10 @@ def _decide(state: State, model: Model, own: Recorded | None, commands: FloatArr
 
 
 @jit
-def _copy(source: FloatArray, rows: FloatArray, row: int, column: int) -> None:
+def _copy(source: FloatArray, rows: FloatArray, row: int) -> None:
     """A plain loop, because slice assignment is slow in compiled code."""
     for i in range(len(source)):
-        rows[row, column + i] = source[i]
-
-
-@inline
-def _record(state: State, own: Recorded | None, row: int, rows: FloatArray, log: FloatArray) -> None:
-    _copy(state.told, rows, row, 0)
-    if own is not None:
-        seen, reading = own.estimates, own.imu_state.reading
-        for k in range(sensors.IMUS):
-            _copy(seen.angle[k], log, row, 3 * k)
-            _copy(seen.rate[k], log, row, 6 + 3 * k)
-            _copy(seen.acceleration[k], log, row, 12 + 3 * k)
-            _copy(reading[k, :3], log, row, 18 + 3 * k)
-            _copy(reading[k, 3:], log, row, 24 + 3 * k)
-        _copy(state.control.asked, log, row, 30)
-        _copy(state.control.wrench[1:], log, row, 33)
-        _copy(state.control.wrench[:1], log, row, 36)
-        _copy(state.control.pid, log, row, 37)
-        _copy(state.control.desired, log, row, 41)
-        _copy(state.mocap.pose, log, row, 45)
-        _copy(own.esc, log, row, 49)
+        rows[row, i] = source[i]
 
 
 @inline
@@ -220,7 +183,7 @@ def fly(
     noise: Noise,
     commands: FloatArray,
     rows: FloatArray,
-    log: FloatArray,
+    esc: FloatArray,
     model: Model,
     own: Recorded | None,
     condition: rotors.Condition,
@@ -230,7 +193,7 @@ def fly(
     """Fly as many steps as there are rows, from step `first` on; 0 is t = 0. `state` and `own` are updated in place.
 
     commands: (steps, n) duties, or (0, n) to let the controller fly. rows: (steps, 41 + 2 n), see `told_parts`.
-    log: (steps, 49 + n), the numbers of a `LOG` and the speeds that the ESCs told, of a recorded set.
+    esc: (steps, n) the speeds that the ESCs told, of a recorded set.
     """
     frame = 0
     for row in range(len(rows)):
@@ -240,7 +203,9 @@ def fly(
             frame += 1
         _sense(state, model, own, faults, noise, row, step)
         _decide(state, model, own, commands, row, step)
-        _record(state, own, row, rows, log)
+        _copy(state.told, rows, row)
+        if own is not None:
+            _copy(own.esc, esc, row)
         _move(state, model, own, condition, noise, row, step)
 
 

@@ -205,7 +205,7 @@ def initial_state(model: kernel.Model, azimuth: FloatArray, charge_used_ah: floa
     pose, wave = np.array([*start[:3], start[6]]), np.full((latency + 1, 4), np.nan)
     integral = np.array([0.0, 0.0, -weight if lift else -TAKEOFF_SHARE * weight, 0.0])
     seen, turn = z(markers, dtype=np.int64), np.column_stack([np.cos(azimuth), np.sin(azimuth)])
-    rate, duty, motors, desired = parts["rate"], parts["duty"], parts["motors"], pose.copy()
+    rate, duty, motors = parts["rate"], parts["duty"], parts["motors"]
     return kernel.State(
         told=told,
         rigid=rigid,
@@ -217,9 +217,7 @@ def initial_state(model: kernel.Model, azimuth: FloatArray, charge_used_ah: floa
         mocap=mocap.MocapState(wave, pose, z(3), np.full(1, np.nan), z((markers, 3)), seen, z(RIGID), z((9, 4))),
         estimate=estimate,
         accel_filtered=reading[3:].copy(),
-        control=control.ControlState(
-            integral, parts["setpoint"], rate, parts["wrench"], duty, motors, z(4), z(3), desired
-        ),
+        control=control.ControlState(integral, parts["setpoint"], rate, parts["wrench"], duty, motors),
         work=z((5, RIGID)),
         truth=z((sensors.IMUS, sensors.CHANNELS)),
         path=z(REFERENCE),

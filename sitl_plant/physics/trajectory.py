@@ -23,8 +23,8 @@ from mavdiag.jit import cached_loop, jit
 from mavdiag.telemetry import FloatArray
 from sitl_plant.physics.dynamics import wrapped
 
-HOVER, SQUARE, CIRCLE, FIGURE8, COMMANDED = 0, 1, 2, 3, 4
-FIXED, ALONG, SPIN = 0, 1, 2
+SQUARE, HOVER, CIRCLE, FIGURE8, COMMANDED, RECORDED = range(6)  # places in `Shape`, the last of t1 at SP1
+FIXED, ALONG, SPIN = range(3)  # places in `Nose`
 REFERENCE = 9  # length of a reference row
 DISARMED, IDLE, FLYING, LANDING, SHUTDOWN = 0.0, 1.0, 2.0, 3.0, 4.0  # what the motors are to do
 ARM_S, LIFT_S = 2.0, 4.0  # from the ground: when the motors arm, when they lift
@@ -34,7 +34,6 @@ BELOW_M = 0.1  # a landing vehicle is led so far below the ground, then its moto
 IDLE_S = 2.0  # after a landing, before the motors disarm
 TURN_S = 1.5  # a turn of the nose by a right angle; peak 1.6 rad/s
 
-RECORDED = 10  # code of t1; t2 to t5 follow
 DWELL_S = 10.0  # from set-point to set-point
 LIMITS = {1: (2.0, 3.14), 2: (0.333, 0.52)}  # SP: m/s, rad/s
 LOW_M, HIGH_M = 0.2, 0.8  # of t3 and t4
@@ -72,10 +71,6 @@ class Shape(StrEnum):
     def climbs(self) -> bool:
         """Whether it is t3 or t4, which have heights of their own."""
         return self.startswith(("t3", "t4"))
-
-
-_FIRST = (Shape.HOVER, Shape.SQUARE, Shape.CIRCLE, Shape.FIGURE8, Shape.COMMANDED)
-_CODES = {shape: RECORDED + shape.recorded[0] - 1 if shape.recorded else _FIRST.index(shape) for shape in Shape}
 
 
 class Nose(StrEnum):
@@ -139,7 +134,7 @@ def path(
     numbers = float(size_m), float(speed_m_s), float(heading_rad), float(altitude_m)
     arm, lift = ground_s
     start = lift + altitude_m / CLIMB_M_S + SETTLE_S if takeoff else 0.0
-    code, look = _CODES[shape], list(Nose).index(nose)
+    code, look = list(Shape).index(shape), list(Nose).index(nose)
     return Path(code, *numbers, look, float(start), float(land_s), float(arm), float(lift), turn)
 
 
@@ -156,7 +151,7 @@ def reference(path: Path, t: float, out: FloatArray) -> None:
         return
     now, holds = max(min(t, path.land) - path.start, 0.0), t < path.start or t >= path.land
     if path.shape >= RECORDED:
-        waypoint(path.shape - RECORDED + 1, path.size, path.speed, path.turn, now, out)
+        waypoint((path.shape - RECORDED) // 2 + 1, path.size, path.speed, path.turn, now, out)
         x, y, up, u, v, w = out[0], out[1], out[2], out[3], out[4], out[5]
         yaw, turn = wrapped(path.heading + out[6]), out[7]
         up = up if up > 0.0 else path.altitude

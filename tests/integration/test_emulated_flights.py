@@ -43,6 +43,7 @@ from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry
 from sitl_plant.emulator import recorded
 from sitl_plant.options import FlightPlan
 from sitl_plant.physics.faults import Injection, RotorDamage
+from sitl_plant.physics.parameters import make_controller
 from sitl_plant.plant import Plant, PlantConfig, PlantSamples
 from sitl_plant.vehicle import airframe_of, vehicle_named
 
@@ -208,7 +209,7 @@ PUBLISHED = {  # roll gyro, rad/s rms in 50-100, 100-200, 200-500 Hz
 }
 
 
-@lru_cache(maxsize=2)  # a flight takes 80 MB
+@lru_cache(maxsize=2)  # a flight takes 40 MB
 def flight(trajectory: str = "t2-sp1", drone: int = 1, seed: int = 0) -> PlantSamples:
     how = PlantConfig(vehicle=VEHICLE, drone=drone, trajectory=trajectory, seed=seed, start="ground", landed_s=FLIGHT_S)
     return Plant(how).advance(round(FLIGHT_S * 1000))
@@ -226,7 +227,7 @@ def test_gyro_bands_have_the_published_energy(drone: int) -> None:
     found = []
     for k in range(len(PUBLISHED[drone])):
         samples = flight("t2-sp1", drone, 740 + 10 * drone + k)
-        f, power = welch(samples.log["gyro"][in_flight(samples), 0, 0], 1000.0, nperseg=1000)
+        f, power = welch(samples.gyro[in_flight(samples), 0], 1000.0, nperseg=1000)
         bands = ((50, 100), (100, 200), (200, 500))
         found.append(np.sqrt([power[(f >= low) & (f < high)].sum() * f[1] for low, high in bands]))
     ratio = np.sqrt(np.mean(np.square(found), axis=0)) / published
@@ -235,47 +236,43 @@ def test_gyro_bands_have_the_published_energy(drone: int) -> None:
 
 def test_rate_command_torque_and_duty_are_the_printed_formulas_of_the_recorded_signals() -> None:
     """12 (ref - angle) - .1 rate, yaw 2 ref; [.1876 .1544 .079] (cmd - rate) - [.0032 .0026 .010] accel."""
-    samples = flight("t2-sp1", 1, 750)
-    log, flown = samples.log, in_flight(samples)
-    angle, rate, acceleration = (part[flown].mean(axis=1) for part in (log["angle"], log["rate"], log["acceleration"]))
-    reference = np.clip(log["pid"][flown, :2], -math.pi / 4, math.pi / 4)
-    command = np.column_stack([12 * (reference - angle[:, :2]) - 0.1 * rate[:, :2], 2 * log["pid"][flown, 3]])
-    np.testing.assert_allclose(samples.rate_setpoint[flown], command, atol=1e-12)
-    gain, brake = np.array([0.1876, 0.1544, 0.079]), np.array([0.0032, 0.0026, 0.010])
-    torque = gain * (command - rate) - brake * acceleration
-    np.testing.assert_allclose(log["torque_asked"][flown], torque, atol=1e-12)
-    limit = [1.0915, 0.8984, 0.0984]
-    np.testing.assert_allclose(log["torque"][flown], np.clip(torque, -np.array(limit), limit), atol=1e-12)
-    np.testing.assert_allclose(log["thrust"][flown], 14.754 + log["pid"][flown, 2], atol=1e-9)
+    samples, gains = flight("t2-sp1", 1, 750), make_controller(VEHICLE)
+    assert (gains.yaw_rate, gains.trim, round(gains.tilt_limit, 4)) == (2.0, 14.754, round(math.pi / 4, 4))
+    flown = in_flight(samples)
+    angle, rate, acceleration = np.split(samples.attitude[flown], 3, axis=1)
+    reference, command = samples.setpoint[flown, :2], samples.rate_setpoint[flown]
+    np.testing.assert_allclose(command[:, :2], 12 * (reference - angle[:, :2]) - 0.1 * rate[:, :2], atol=1e-12)
+    gain, brake, limit = np.array([[0.1876, 0.1544, 0.079], [0.0032, 0.0026, 0.010], [1.0915, 0.8984, 0.0984]])
+    torque = np.clip(gain * (command - rate) - brake * acceleration, -limit, limit)
+    thrust = samples.thrust_setpoint[flown, None] * 4 * gains.full_thrust
     # duty: F = .25 T -+ tau_x / 2 Lr ..., FRD; V from F = .03616 V^2 + .117 V - .01215; duty = V / V_bat.
     # motors 1 rear right, 2 front right, 3 rear left, 4 front left; nose up and turn right are positive
-    roll, pitch, yaw = log["torque"][flown].T / [[2 * 0.254], [2 * 0.2032], [4 / 68.9055]]
+    roll, pitch, yaw = torque.T / [[2 * 0.254], [2 * 0.2032], [4 / 68.9055]]
     force = np.column_stack([-roll - pitch - yaw, -roll + pitch + yaw, roll - pitch + yaw, roll + pitch - yaw])
     volts = samples.duty[flown] * samples.battery_v[flown, None]
     lifted = 0.03616 * volts**2 + 0.117 * volts - 0.01215
-    np.testing.assert_allclose(lifted, 0.25 * log["thrust"][flown, None] + force, atol=1e-9)
+    np.testing.assert_allclose(lifted, 0.25 * thrust + force, atol=1e-9)
 
 
 @pytest.mark.parametrize("drone", [1, 3])
 def test_yaw_cycles_at_24_hz_on_the_ground_with_a_saturated_torque_and_not_in_flight(drone: int) -> None:
     """Full-length lines of the recordings: 24.33, 24.43, 24.42, 24.10, 24.07 Hz, from 3.3 s to the take-off."""
     samples = flight("t3-sp1", drone, 760 + drone)
-    log, standing, flown = samples.log, slice(ARM_MS + 700, LIFT_MS - 500), in_flight(samples)
-    f, power = welch(log["gyro"][standing, 0, 2], 1000.0, nperseg=4096)
+    yaw, standing, flown = samples.gyro[:, 2], slice(ARM_MS + 700, LIFT_MS - 500), in_flight(samples)
+    f, power = welch(yaw[standing], 1000.0, nperseg=4096)
     assert 23.5 < f[1:][power[1:].argmax()] < 25.0
-    assert np.mean(np.isclose(np.abs(log["torque"][standing, 2]), 0.0984)) > 0.5
-    assert np.abs(log["gyro"][: ARM_MS - 100, 0]).max() < 0.05
-    yaw = log["gyro"][:, 0, 2]
+    torque = -0.079 * samples.attitude[standing, 5] - 0.010 * samples.attitude[standing, 8]
+    assert np.mean(np.abs(torque) > 0.0984) > 0.5
+    assert np.abs(samples.gyro[: ARM_MS - 100]).max() < 0.05
     f, power = welch(np.stack((yaw[standing], yaw[flown][:6000])), 1000, nperseg=2048)
     near = (f > 20.0) & (f < 28.0)
     assert power[0, near].sum() > 1000 * power[1, near].sum()
 
 
 def test_the_motors_report_in_turn_and_too_much_and_the_gyro_has_the_steps_of_the_recordings() -> None:
-    log = (samples := flight("t1-sp2", 2, 732)).log
-    np.testing.assert_allclose(log["gyro"] / 1.3316e-4, np.rint(log["gyro"] / 1.3316e-4), atol=1e-6)
-    np.testing.assert_array_equal(samples.gyro, log["gyro"][:, 0])
-    np.testing.assert_array_equal(log["gyro"][0::2], log["gyro"][1::2])
+    samples = flight("t1-sp2", 2, 732)
+    np.testing.assert_allclose(samples.gyro / 1.3316e-4, np.rint(samples.gyro / 1.3316e-4), atol=1e-6)
+    np.testing.assert_array_equal(samples.gyro[0::2], samples.gyro[1::2])
     assert [np.isnan(part).mean() for part in (samples.esc_speed[:990], samples.esc_speed[1040:])] == [1.0, 0.0]
     changed = np.diff(samples.esc_speed[CUT_MS:40_000], axis=0) != 0.0
     assert np.all(changed.sum(axis=1) <= 1)

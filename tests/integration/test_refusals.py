@@ -15,6 +15,8 @@ from made_archive import archive_baseline, made
 
 from mavdiag import __version__
 from mavdiag.__main__ import start
+from sitl_plant.emulator import record_flight
+from sitl_plant.options import flight_plan
 
 PROGRAMS = {"mavdiag": "mavdiag.cli", "mavdiag-detector": "detector.__main__", "sitl-plant": "sitl_plant.__main__"}
 CAMPAIGN = "sitl-plant campaign -o r.jsonl --flights 0 --hours 0 --workers 1"
@@ -79,7 +81,8 @@ REFUSED = [
     ("mavdiag identify --output= a.tlog", "an empty value behind --output="),
     *((f"mavdiag {it}", "one=: no such file") for it in ("history add x.tlog --baseline=none=", "model none=")),
     ("mavdiag model t.csv", "CSV with --columns MAP.toml where a command has it"),
-    ("mavdiag model track a.tlog --every 0", "--every and --memory must be longer"),
+    *((f"mavdiag model track a.tlog --{it}", "--memory must be longer") for it in ("every 0", "memory 0.04")),
+    ("mavdiag model sweep a.tlog --validate fast.tlog", "fast.tlog: its rate is not that of a.tlog"),
     ("mavdiag model a.tlog --plot /dev/null", "not a regular file"),
     *((f"mavdiag model a.tlog --order {order}", "three whole numbers") for order in ("'2;2'", "99,99,99")),
     ("mavdiag model a.tlog --window 1e9", "the window at most 10 s"),
@@ -110,9 +113,10 @@ REFUSED = [
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a log, a baseline, the beginning of a history and an empty folder."""
+    """A folder with two logs, a baseline, the beginning of a history and an empty folder."""
     folder = tmp_path_factory.mktemp("place")
     made(folder, "a.tlog")
+    record_flight(folder / "fast.tlog", flight_plan(rate=200.0), 10.0, lambda samples: None)
     archive_baseline().save(folder / "baseline.json")
     (folder / "t.csv").write_text("t,p,q,r")
     (folder / "h.sqlite").write_text("SQLite format 3\0")

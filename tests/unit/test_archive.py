@@ -402,8 +402,7 @@ REFERENCE = Reference("sha256:b", tuple(map(tuple, C.tolist())), TAUGHT)
 
 
 def one_each(share: FloatArray) -> Sessions:
-    n = len(share)
-    return sessions_of(range(1, n + 1), range(n), share)
+    return sessions_of(range(len(share)), share)
 
 
 def forecast(trend: Trend, flights: float) -> tuple[float, float]:
@@ -443,7 +442,7 @@ def test_the_interval_of_the_remaining_flights_holds_what_cannot_be_told_from_th
     """Fieller's inequality, asked directly over a grid of flights."""
     slope_variance = (relative * slope) ** 2
     covariance = correlation * math.sqrt(level_variance * slope_variance)
-    trend = Trend(level, slope, level_variance, covariance, slope_variance, 0.05, 20)
+    trend = Trend(level, slope, level_variance, covariance, slope_variance, 0.05)
     found = trend.remaining()
     assert found is not None
     assert found.low <= found.flights <= found.high
@@ -490,9 +489,10 @@ def test_a_warning_stands_while_the_level_does_and_ends_when_it_falls_back() -> 
 
 def test_marks_and_other_baselines_begin_a_stretch() -> None:
     flights = (*records([0.5] * 10), *(record(number, baseline="sha256:new") for number in range(11, 16)))
-    marks = [Mark("one", START_NS + day * DAY_NS + 1, kind) for day, kind in zip((4, 90), MarkKind, strict=True)]
+    told = ((4, MarkKind.NEW_PROPELLERS, ""), (90, MarkKind.REPAIR, "arm 2"))
+    marks = [Mark("one", START_NS + day * DAY_NS + 1, kind, note) for day, kind, note in told]
     found = [(one.first, one.began, len(one.flights)) for one in stretches_of(flights, marks)]
-    assert found == [(1, "", 4), (5, "new propellers", 6), (11, "new baseline", 5), (16, "repair", 0)]
+    assert found == [(1, "", 4), (5, "new propellers", 6), (11, "new baseline", 5), (16, "repair: arm 2", 0)]
     assert stretches_of((), marks) == ()
 
 

@@ -229,7 +229,7 @@ def gains() -> Controller:
 
 def fresh() -> ControlState:
     z = np.zeros
-    return ControlState(np.array([0.0, 0.0, -WEIGHT, 0.0]), z(3), z(3), z(4), z(4), z(1), z(4), z(3), z(4))
+    return ControlState(np.array([0.0, 0.0, -WEIGHT, 0.0]), z(3), z(3), z(4), z(4), z(1))
 
 
 def ask(
@@ -397,8 +397,8 @@ def test_each_cause_changes_what_it_is_about() -> None:
 @given(st.integers(1, 10_000_000))
 def test_onset_at_a_millisecond_is_that_step(step: int) -> None:
     """However 0.001 s rounds in binary, the fault is there at its step: neither lost nor late."""
-    assert Injection(STUCK, onset_s=step / 1000).span(STEP_S)[0] == step
-    assert Injection(STUCK, onset_s=step * 0.001).span(STEP_S)[0] == step
+    assert Injection(STUCK, onset_s=step / 1000).first_step(STEP_S) == step
+    assert Injection(STUCK, onset_s=step * 0.001).first_step(STEP_S) == step
 
 
 # Paths: closed, smooth where they should be, flown at the speed asked for; where the recorded ones go

@@ -52,7 +52,7 @@ BUSY = PlantConfig(
     turbulence_m_s=8.0,
     outages_per_min=20.0,
     pickup=PickUp(Payload(0.2, (0.012, -0.016, 0.05)), 0.9, 1.4),
-    injections=(Injection(SensorFault("gyro", 0, offset=0.1), onset_s=0.5, end_s=0.7),),
+    injections=(Injection(SensorFault("gyro", 0, offset=0.1), onset_s=0.5),),
     seed=5,
 )
 RECORDED = PlantConfig(
@@ -182,14 +182,12 @@ def test_injected_in_flight_is_as_configured_before_it() -> None:
 
 @pytest.mark.parametrize("name", ["qdrone2", "qdrone2-recorded"])
 def test_cleared_is_healthy_again(name: str) -> None:
-    """A hover with one rotor at 0.85 takes a higher duty there; cleared, all are alike again, and the gyro reads 0."""
+    """A hover with one rotor at 0.85 takes a higher duty there; cleared, all are alike again, and the gyro too."""
     vehicle = vehicle_named(name)
     plant = Plant(PlantConfig(trajectory="hover", vehicle=vehicle, fault="F1/SV1", rotor=4, seed=1))
     plant.inject(Injection(RotorDamage(0.85), rotor=2))
-    plant.inject(Injection(SensorFault("gyro", 2, drift_per_s=0.01), end_s=2.0))
-    flown = plant.advance(6000)
-    assert flown.gyro[-2000:, 2].mean() == pytest.approx(0.0, abs=0.01)  # it ended with its cause
-    weak = flown.duty[-2000:].mean(axis=0)
+    plant.inject(Injection(SensorFault("gyro", 2, drift_per_s=0.002)))
+    weak = plant.advance(6000).duty[-2000:].mean(axis=0)
     plant.clear()
     whole = plant.advance(8000)
     healthy = Plant(PlantConfig(trajectory="hover", vehicle=vehicle, seed=1)).advance(8000)
@@ -199,15 +197,11 @@ def test_cleared_is_healthy_again(name: str) -> None:
     assert whole.gyro[-2000:, 2].mean() == pytest.approx(healthy.gyro[-2000:, 2].mean(), abs=0.005)
 
 
-@pytest.mark.parametrize(
-    ("injection", "says"),
-    [(Injection(RotorDamage(0.9), 9), "rotor must be 1 to 4"), (Injection(RotorDamage(0.9), 1, 0.0, 0.1), "end_s")],
-)
-def test_what_cannot_be_injected_is_refused_and_not_noted(injection: Injection, says: str) -> None:
+def test_what_cannot_be_injected_is_refused_and_not_noted() -> None:
     plant = Plant(HOVER)
     plant.advance(200)
-    with pytest.raises(UsageError, match=says):
-        plant.inject(injection)
+    with pytest.raises(UsageError, match="rotor must be 1 to 4"):
+        plant.inject(Injection(RotorDamage(0.9), 9))
     assert plant.take_changes() == ()
 
 
