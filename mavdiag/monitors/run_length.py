@@ -16,7 +16,7 @@ import numpy as np
 
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.identify import ArxModel, fit
-from mavdiag.identify.arx import ModelRecord
+from mavdiag.identify.arx import ModelRecord, without_rounding
 from mavdiag.jit import cached, jit
 from mavdiag.monitors.base import Begin, Flights, LearnContext, Monitor, parted, walk
 from mavdiag.monitors.fitting import USUAL_BIAS, cut_to_share, of_each
@@ -240,7 +240,8 @@ def _train(flights: Flights, axis: Axis, context: LearnContext) -> ArxModel:
     taken = iter(cut_to_share(lengths, TRAIN_ROWS, round(MIN_PIECE_S / dt_s)))
     each = [(flight, stretch) for flight, stretches in zip(flights, places, strict=True) for stretch in stretches]
     pairs = [_rates_in(flight, stretch, axis, next(taken)) for flight, stretch in each]
-    u, y = [one for one, _ in pairs], [one for _, one in pairs]
+    y = [one for _, one in pairs]
+    u = without_rounding([one for one, _ in pairs], y)
     figures, method, steady = context.figures, context.method, np.full(round(STEADY_S / dt_s), STEADY_RAD_S)
     try:
         model = fit(
