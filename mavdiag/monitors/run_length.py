@@ -222,7 +222,7 @@ def _rates_in(flight: Sequence[Rows], stretch: Parts, axis: Axis, most: int) -> 
         if most == 0:
             break
     u, y = np.concatenate(parts, axis=1)
-    return u, y
+    return without_rounding([u], [y])[0], y
 
 
 def training_pieces(flight: Sequence[Rows], axis: Axis) -> list[tuple[FloatArray, FloatArray]]:
@@ -240,8 +240,7 @@ def _train(flights: Flights, axis: Axis, context: LearnContext) -> ArxModel:
     taken = iter(cut_to_share(lengths, TRAIN_ROWS, round(MIN_PIECE_S / dt_s)))
     each = [(flight, stretch) for flight, stretches in zip(flights, places, strict=True) for stretch in stretches]
     pairs = [_rates_in(flight, stretch, axis, next(taken)) for flight, stretch in each]
-    y = [one for _, one in pairs]
-    u = without_rounding([one for one, _ in pairs], y)
+    u, y = [one for one, _ in pairs], [one for _, one in pairs]
     figures, method, steady = context.figures, context.method, np.full(round(STEADY_S / dt_s), STEADY_RAD_S)
     try:
         model = fit(
