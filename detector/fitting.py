@@ -85,6 +85,8 @@ class ProcessFitter:
             finally:
                 self._process = None
                 process.kill()
+        if process.returncode:
+            raise ChildProcessError(f"exit code {process.returncode}")
         outcome: FitOutcome = pickle.loads(answer)
         return outcome
 

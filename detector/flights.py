@@ -19,8 +19,8 @@ from typing import BinaryIO, TypeAlias
 from detector.fleet import Vehicle
 from detector.hooks import Courier
 from detector.judging import Judge
-from detector.process import own_environ
 from mavdiag.baseline import Baseline, dump
+from mavdiag.commandline import own_environ
 from mavdiag.errors import UsageError, check_installed
 from mavdiag.judging import MIN_JUDGED_S
 from mavdiag.logs.tlog import tlog_record

@@ -1,14 +1,9 @@
 """Modules of ours as processes beside the daemon (edge)."""
 
-import os
 import subprocess
 import sys
 
-
-def own_environ() -> dict[str, str]:
-    """The environment in which a Python finds its modules where this one does, whatever lies in the present folder."""
-    path = os.pathsep.join(folder for folder in sys.path if folder)
-    return {**os.environ, "PYTHONPATH": path, "PYTHONSAFEPATH": "1"}
+from mavdiag.commandline import own_environ
 
 
 def begun(module: str) -> subprocess.Popen[bytes]:

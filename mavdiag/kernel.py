@@ -607,10 +607,8 @@ class Kernel:
             old = int(memory.bins_ns[:known].searchsorted(first_ns - self._longest_ns))
             ends_ns, conditions, known = memory.bins_ns[old:known], memory.bins[old:known], known - old
             memory.bins_ns, memory.bins = _grown(ends_ns, more + MORE_BINS), _grown(conditions, more + MORE_BINS)
-        bins, rows_open = (
-            (memory.bins_ns, memory.bins, np.empty((3, len(times[1])))),
-            np.empty((2, opened + n), dtype=np.int64),
-        )
+        bins = memory.bins_ns, memory.bins, np.empty((3, len(times[1])))
+        rows_open = np.empty((2, opened + n), dtype=np.int64)
         rows_open[:, :opened] = memory.opened
         looks = self._records(done + 2)
         looks[:2] = memory.looks

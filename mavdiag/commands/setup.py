@@ -19,7 +19,7 @@ from typer import Argument, Option
 
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.archive.paths import AS_BASELINE, check_output
-from mavdiag.commandline import say
+from mavdiag.commandline import own_environ, say
 from mavdiag.commands import options as opt
 from mavdiag.commands.identify import make_baseline
 from mavdiag.commands.inspect import COMPANION_OF, ask_for_all, hear
@@ -107,7 +107,7 @@ def setup(
     told = " is kept as it is; for what this run would write, remove it and run this again" * kept
     say(f"{baseline}\nwritten to {baseline_file}, and for the detector {config}{told}:")
     check = [sys.executable, "-m", "detector", "--config", str(config), "--check"]
-    if subprocess.run(check, check=False).returncode:
+    if subprocess.run(check, env=own_environ(), check=False).returncode:
         raise UsageError(f"the detector refuses {config}; see above")
     say(f"start it with: mavdiag-detector --config {config}")
     _offer_service(folder.resolve(), ask=not yes)

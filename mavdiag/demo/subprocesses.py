@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from mavdiag.commandline import own_environ
 from mavdiag.errors import LinkError
 from mavdiag.link.messages import Severity
 from mavdiag.link.ports import open_endpoint
@@ -32,8 +33,8 @@ class Child(contextlib.AbstractContextManager["Child"]):
     def __init__(self, module: str, *arguments: str) -> None:
         self.module, self._told = module, 0
         self._output = tempfile.TemporaryFile()  # noqa: SIM115  # closed with the block
-        command, null = [sys.executable, "-m", module, *arguments], subprocess.DEVNULL
-        self._process = subprocess.Popen(command, stdin=null, stdout=self._output, stderr=subprocess.STDOUT)
+        command, null, env = [sys.executable, "-m", module, *arguments], subprocess.DEVNULL, own_environ()
+        self._process = subprocess.Popen(command, stdin=null, stdout=self._output, stderr=subprocess.STDOUT, env=env)
 
     @property
     def lines(self) -> list[str]:
@@ -75,8 +76,8 @@ class Child(contextlib.AbstractContextManager["Child"]):
 
 def run_child(module: str, *arguments: str) -> None:
     """Run a process to its end. Raises LinkError with its last line if it fails."""
-    command, pipe = [sys.executable, "-m", module, *arguments], subprocess.PIPE
-    done = subprocess.run(command, stdin=subprocess.DEVNULL, stdout=pipe, stderr=subprocess.STDOUT, check=False)
+    command, pipe, env = [sys.executable, "-m", module, *arguments], subprocess.PIPE, own_environ()
+    done = subprocess.run(command, input=b"", stdout=pipe, stderr=subprocess.STDOUT, env=env, check=False)
     if done.returncode:
         raise LinkError(f"{module} failed: {_last(done.stdout.decode(errors='replace').splitlines())}")
 

@@ -23,7 +23,7 @@ Order: TypeAlias = tuple[int, int, int]  # na, nb, nk
 Records: TypeAlias = FloatArray | Sequence[FloatArray]  # one record, or one per segment
 
 BLOCK_ROWS = 256  # rows per block of `triangle`: fits the cache and stays below the size that BLAS threads
-ROUNDING = 1e-5  # of the range of y: an input that moves no more is constant but for its rounding (our choice)
+ROUNDING = 1e-5  # of the range of a rate: its command, in the same unit, moves no more by rounding (our choice)
 EPSILON = float(np.finfo(np.float64).eps)
 MIN_ROWS_PER_PARAMETER = 10  # our rule of thumb; below it a standard error means little
 
@@ -221,10 +221,16 @@ def to_segments(u: Records, y: Records, order: Order) -> tuple[Segment, ...]:
     if rows < MIN_ROWS_PER_PARAMETER * parameters:
         why = f"too short: {rows} usable rows for {parameters} parameters; record {MIN_ROWS_PER_PARAMETER} for each"
         raise IdentificationError(why)
-    range_u, range_y = (max(float(np.ptp(record)) for record in records) for records in (us, ys))
-    if range_y == 0.0 or range_u <= ROUNDING * range_y:
-        raise IdentificationError(f"{'u' if range_y else 'y'} is constant; fly a trajectory that moves this axis")
+    for name, records in (("u", us), ("y", ys)):
+        if max(float(np.ptp(record)) for record in records) == 0.0:
+            raise IdentificationError(f"{name} is constant; fly a trajectory that moves this axis")
     return segments
+
+
+def without_rounding(u: Sequence[FloatArray], y: Sequence[FloatArray]) -> list[FloatArray]:
+    """Records of a command; zero if it was never given, and moves by rounding alone. y: records in the same unit."""
+    range_u, range_y = (max(float(np.ptp(record)) for record in records) for records in (u, y))
+    return [record * (range_u > ROUNDING * range_y) for record in u]
 
 
 def _records(values: Records) -> list[FloatArray]:

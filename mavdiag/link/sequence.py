@@ -239,13 +239,15 @@ def _jump(sender: Fields, seq: int, clash: bool) -> None:
     sender.next = (seq + 1) % 256
 
 
-@jit
 def _admits(sender: Fields, frame: Fields, ours: bool) -> bool:
     """Whether a sender may come from where a frame of it came."""
     if ours:
         return False
     pinned = sender["received"] > 0 and frame["host_ns"] - sender["heard_ns"] < _PINNED_NS
     return bool(sender["source"] == frame["source"] or not pinned)
+
+
+_admits_in_loop = jit(_admits)  # what one frame asks does not wait for a compiler
 
 
 @cached_loop
@@ -270,7 +272,7 @@ def _hear(
             used += 1
             places[frame.sender] = used
         sender, seq = senders[places[frame.sender] - 1], 0 + frame.seq
-        if not _admits(sender, frame, flags[frame.sender] & _OURS > 0):
+        if not _admits_in_loop(sender, frame, flags[frame.sender] & _OURS > 0):
             sender.intruder = frame.source
             sender.refused += 1
             continue

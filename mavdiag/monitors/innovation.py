@@ -10,7 +10,7 @@ from typing import Literal, NamedTuple, TypeAlias
 import numpy as np
 
 from mavdiag.errors import IdentificationError
-from mavdiag.identify.arx import ROUNDING, triangle
+from mavdiag.identify.arx import triangle, without_rounding
 from mavdiag.jit import allocating, cached
 from mavdiag.monitors.base import Begin, Flights, LearnContext, Monitor, segments
 from mavdiag.monitors.fitting import MEMORY_S, cut_to_share, need_commanded, of_each, smoothed, three, variance_law
@@ -244,7 +244,7 @@ def _pairs_of(segment: Iterable[Rows], most: int) -> _Pairs:
     u, y, fast, good, t_ns = (np.concatenate(column, axis=-1) for column in zip(*parts, strict=True))
     known = np.isfinite(u).all(axis=0) & np.isfinite(y).all(axis=0)
     u, y, fast = (np.pad(np.where(np.isfinite(one), one, 0.0), ((0, 0), (LAG, 0))) for one in (u, y, fast))
-    u[np.ptp(u, axis=1) <= ROUNDING * np.ptp(y, axis=1)] = 0.0
+    u = np.stack([without_rounding([one], [rate])[0] for one, rate in zip(u, y, strict=True)])
     changed = np.concatenate(([False], (y[:, 1:] != y[:, :-1]).any(axis=0)))
     stirred = ~window_all(~changed, STILL_ROWS)[LAG - STILL_ROWS + 1 :]
     good = good & known & stirred & ~np.isin(t_ns, np.concatenate(made_up))

@@ -31,7 +31,7 @@ from mavdiag.airframe.trim import ALONG_Z
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.identify import Method
 from mavdiag.identify import fit as identify
-from mavdiag.identify.arx import ModelRecord
+from mavdiag.identify.arx import ModelRecord, without_rounding
 from mavdiag.jit import cached, jit, summing
 from mavdiag.monitors.base import Begin, Feature, Flights, LearnContext, Monitor, RotorEvidence, parted
 from mavdiag.monitors.fitting import MEMORY_S, cut_to_share, need_commanded, of_each, smoothed, three, variance_law
@@ -438,7 +438,8 @@ def _pieces(samples: Sequence[FloatArray], period_s: float) -> list[FloatArray]:
 def _rate(pieces: Sequence[FloatArray], axis: int, period_s: float, context: LearnContext) -> ModelRecord:
     """The rate model of one axis: of order 3 if the flights carry it, else of order 2."""
     near = next(((one.motion.roll, one.motion.pitch)[axis].model() for one in context.near), None)
-    u, y = [piece[:, axis] for piece in pieces], [piece[:, 2 + axis] for piece in pieces]
+    y = [piece[:, 2 + axis] for piece in pieces]
+    u = without_rounding([piece[:, axis] for piece in pieces], y)
     reason = ""
     for order in ORDERS:
         try:

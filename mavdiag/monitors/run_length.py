@@ -16,7 +16,7 @@ import numpy as np
 
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.identify import ArxModel, fit
-from mavdiag.identify.arx import ModelRecord
+from mavdiag.identify.arx import ModelRecord, without_rounding
 from mavdiag.jit import cached, jit
 from mavdiag.monitors.base import Begin, Flights, LearnContext, Monitor, parted, walk
 from mavdiag.monitors.fitting import USUAL_BIAS, cut_to_share, of_each
@@ -222,7 +222,7 @@ def _rates_in(flight: Sequence[Rows], stretch: Parts, axis: Axis, most: int) -> 
         if most == 0:
             break
     u, y = np.concatenate(parts, axis=1)
-    return u, y
+    return without_rounding([u], [y])[0], y
 
 
 def training_pieces(flight: Sequence[Rows], axis: Axis) -> list[tuple[FloatArray, FloatArray]]:

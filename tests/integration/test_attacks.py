@@ -386,15 +386,8 @@ def test_with_a_key_only_the_genuine_vehicle_is_heard_and_what_is_sent_is_signed
 
 
 # All that the detector may send to a vehicle, and to those behind. No arming, no mode; parameters are read only.
-SENT = {
-    MessageId.PARAM_REQUEST_READ,
-    MessageId.HEARTBEAT,
-    MessageId.STATUSTEXT,
-    MessageId.NAMED_VALUE_FLOAT,
-    MessageId.COMMAND_LONG,
-    MessageId.COMMAND_ACK,
-    MessageId.TIMESYNC,
-}
+SENT = {MessageId.PARAM_REQUEST_READ, MessageId.HEARTBEAT, MessageId.STATUSTEXT, MessageId.NAMED_VALUE_FLOAT}
+SENT |= {MessageId.COMMAND_LONG, MessageId.COMMAND_ACK, MessageId.TIMESYNC}
 COMMANDS = {MavCmd.SET_MESSAGE_INTERVAL}
 
 
@@ -402,8 +395,7 @@ def test_nothing_else_is_ever_sent_over_a_long_story(tmp_path: Path) -> None:
     """Two vehicles, learning, judging, a fault, landings, reboots, lost links, random frames and commands of others."""
     vehicles = [MadeVehicle(1), MadeVehicle(2)]
     bench = Attacked(LEARNING, fitter=FakeFitter(baseline_for()), vehicles=vehicles)
-    sent: Counter[int] = Counter()
-    commands: Counter[int] = Counter()
+    sent, commands = Counter[int](), Counter[int]()
     station, rng = Encoder(255, 190), np.random.default_rng(11)
     wild = random_frames(12, None)
     for number in range(16):

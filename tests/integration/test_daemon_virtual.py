@@ -220,8 +220,9 @@ def asked(bench: Bench, end: MemoryEndpoint, frame: bytes) -> list[Frame]:
 LANDING = """
 import sys
 from numba.core.dispatcher import Dispatcher
-from test_daemon_virtual import Baseline, Bench, MadeVehicle, Path, judging
+from test_daemon_virtual import Baseline, Bench, Decoder, Encoder, MadeVehicle, Path, judging
 from mavdiag.chain import warm
+from mavdiag.link.signing import Signing
 def compiled():
     found = [one for name, of in sys.modules.items() if name.startswith("mavdiag.") for one in vars(of).values()]
     return {f"{one} {len(one.signatures)}" for one in found if isinstance(one, Dispatcher) and one.signatures}
@@ -234,6 +235,8 @@ bench.vehicles.append(MadeVehicle(1))
 bench.run(25.0)
 bench.vehicles[0].armed = False
 bench.run(8.0)
+sealing, decoder = Encoder(1, 1, Signing(bytes(32))), Decoder(signing=Signing(bytes(32)))
+assert [len(decoder.feed(sealing.encode(0, 2, 3, 0, 0, 4, 3))) for _ in range(2)] == [1, 1]
 assert compiled() <= before, compiled() - before"""
 
 

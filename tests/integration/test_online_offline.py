@@ -220,7 +220,10 @@ def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
         "    time.sleep(0.1); print('tick', flush=True)\n"
         "print('last line', flush=True)\n"
     )
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=":")
+    (here := tmp_path / "here").mkdir()
+    (here / "made_program.py").write_text("raise SystemExit('of the present folder')")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.chdir(here)
     return "made_program"
 
 

@@ -148,8 +148,12 @@ def scan(mavdiag: Any, baseline_archive: Path) -> Any:
     return run
 
 
-def test_a_pool_answers_as_one_process_does_in_order_and_keeps_it(scan: Any, archive: Path, tmp_path: Path) -> None:
+def test_a_pool_answers_as_one_process_does_in_order_and_keeps_it(
+    scan: Any, archive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     lost = archive / ("x" * 300)  # its name is too long
+    (tmp_path / "pickle.py").write_text("raise SystemExit('of the present folder')")
+    monkeypatch.chdir(tmp_path)
     alone = scan(archive, lost, "--json", "--jobs", 1, "--no-cache")
     code, out, err = pool = scan(archive, lost, "--json", "--jobs", 2, "--cache", tmp_path / "cache")
     again = scan(archive, lost, "--json", "--cache", tmp_path / "cache", "--jobs", 2)

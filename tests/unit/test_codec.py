@@ -65,8 +65,7 @@ def test_every_message_of_the_dialect_travels_both_ways(version: int, number: in
     fields = tuple(one.rstrip(b"\0") if isinstance(one, bytes) else one for one in frame.fields)
     assert fields == wire_values(parsed[0])
     if version == 2:
-        encoder = Encoder(1, 1)
-        assert encoder.encode(number, *arguments) == theirs  # type: ignore[arg-type]  # generic test values
+        assert Encoder(1, 1).encode(number, *arguments) == theirs  # type: ignore[arg-type]  # generic test values
         assert Encoder(1, 1).encode_payload(number, frame.payload) == theirs
 
 

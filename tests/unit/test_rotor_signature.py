@@ -9,7 +9,7 @@ from made_telemetry import body_rates
 from scipy.signal import lfilter
 
 from mavdiag.airframe.layout import layout_named
-from mavdiag.errors import InputError
+from mavdiag.errors import IdentificationError, InputError
 from mavdiag.monitors.base import Flights
 from mavdiag.monitors.rotor_signature import (
     DRIFT_S,
@@ -142,5 +142,8 @@ def test_what_cannot_be_judged_is_refused_with_a_reason() -> None:
     ):
         with pytest.raises(InputError, match=word):
             fit([[rows]], frame)
+    (stiff := flown(4, CALM)).rates.u[:, 1] *= 1e-12  # what is left of a set-point that never moved
+    with pytest.raises(IdentificationError, match="pitch: u is constant"):
+        fit([[stiff]], "qdrone2")
     with pytest.raises(InputError, match="the gyro comes at 20 Hz; 50 Hz are needed, better 100"):
         RotorSignature.need_stream(20.0)

@@ -7,6 +7,7 @@ import math
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from unittest.mock import patch
 
@@ -46,10 +47,7 @@ EVIL = "\x1b[31mred\x1b]0;title\x07\r\nforged line\x9b2J\u202eleft\u2028end\x00"
 def test_a_log_is_replayed_as_a_link_is_watched(tmp_path: Path) -> None:
     path, baseline, out = tmp_path / "flight.tlog", baseline_for(), io.StringIO()
     record(path, ((20.0, 0.0), (10.0, 0.5)))
-
-    def begin() -> LiveJudge:
-        return LiveJudge(baseline, 20.0)
-
+    begin = partial(LiveJudge, baseline, 20.0)
     with contextlib.redirect_stdout(out):
         play(read_log(path), begin, math.inf, 0.0, Axis.ROLL, lambda: False)
     lines = out.getvalue().splitlines()

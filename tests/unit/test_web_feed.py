@@ -80,10 +80,8 @@ def child() -> FakeChild:
 
 @pytest.fixture
 def bench(child: FakeChild, tmp_path: Path) -> Iterator[Bench]:
-    web = Feed(cast(ServerProcess, child), Instant(START_NS))
-    one = Bench(
-        SETTINGS, baseline_for(), vehicles=[MadeVehicle(1), MadeVehicle(2)], web=web, journal=tmp_path / "j.jsonl"
-    )
+    vehicles, web = [MadeVehicle(1), MadeVehicle(2)], Feed(cast(ServerProcess, child), Instant(START_NS))
+    one = Bench(SETTINGS, baseline_for(), vehicles=vehicles, web=web, journal=tmp_path / "j.jsonl")
     yield one
     one.close()
 
