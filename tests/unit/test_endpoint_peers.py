@@ -109,15 +109,18 @@ def test_a_peer_that_gets_a_socket_of_its_own_is_received_in_order() -> None:
 def test_a_reader_that_was_held_up_knows_when_a_datagram_arrived(kind: str) -> None:
     with open_endpoint("udpin:127.0.0.1:0") as server, open_endpoint(f"udpout{server.address[5:]}") as client:
         client.send(V1)
-        assert receive_all(server, len(V1)) == V1  # the kernel may not stamp the first one
+        assert receive_all(server, len(V1)) == V1
         here, there = (server, client) if kind == "udpin" else (client, server)
-        before_ns = time.monotonic_ns()
-        there.send(V2)
-        sent_ns = time.monotonic_ns()
-        time.sleep(0.5)
-        [(data, host_ns)] = here.receive(1.0)
-        assert data == V2
-        assert before_ns - 1_000_000 <= host_ns <= sent_ns + 100_000_000
+        for _ in range(20):  # the kernel may not stamp the first ones
+            before_ns = time.monotonic_ns()
+            there.send(V2)
+            latest_ns = time.monotonic_ns() + 100_000_000
+            time.sleep(0.2)
+            [(data, host_ns)] = here.receive(1.0)
+            assert data == V2
+            if host_ns <= latest_ns:
+                break
+        assert before_ns - 1_000_000 <= host_ns <= latest_ns
 
 
 def test_every_datagram_is_received_or_counted_as_overflowed() -> None:
