@@ -55,7 +55,7 @@ LEAST_ERROR_RAD_S = 0.5  # rate error below which nothing is far: gusts are many
 FAR_LEVEL = 1.5  # least ratio of thrust to the median (our choice)
 
 TURN_S = 2.0  # over which the rates are integrated to angles: the lag of a rate loop hardly counts then (our choice)
-TURNED = 0.1  # of r, of either sign: clear; healthy flights have 0.29 to 1, emulated ones 0.1 to 1 (our choice)
+TURNED = 0.2  # of r, of either sign: clear; recorded flights have 0.29 to 1, emulated hovers -0.1 to 0.6 (our choice)
 
 GROUP_DISTANCE = 0.03  # of the hover command; one airframe's recorded sessions lie up to 0.023 apart (our choice)
 NOTED_DISTANCE = 0.005  # of the hover command: as much as new propellers make (our choice)
