@@ -7,8 +7,8 @@ after it has a seed of its own: healthy as taught, faster, in steps, turning, in
 battery that sags, another gain of the attitude's controller, a gyro that drifts; with rotor 2 weaker, at once, by and
 by or now and then, or out of balance, from the middle on. RotorPy knows no damage: its vehicle is asked for the wrench
 at the speed of the weak rotor times the root of what is left of its thrust and drag, and a rotor out of balance adds
-the force m r w^2 at its hub. All rotors have a little of it, as propellers of balance quality G 6.3 (ISO 21940-11).
-The controller has the true position and attitude, and the rate of RotorPy's gyro.
+the force m r w^2 at its hub. Where the steps show it all rotors have a little, as propellers of balance quality G 6.3
+(ISO 21940-11). The controller has the true position and attitude, and the rate of RotorPy's gyro.
 """
 
 import argparse
@@ -152,7 +152,7 @@ def flown(vehicle: str, seconds: float, case: Case, seed: int) -> md.Log:
     state |= {"x": begin["x"], "v": begin["x_dot"]}
     plant = damageable(values, state, chance)
     of_grade = PROPELLER_SHARE * empty / hover / 1000.0  # kg m a mm/s
-    plant.unbalance[:] = usual = USUAL_MM_S * of_grade * chance.uniform(0.2, 1.0, count)
+    plant.unbalance[:] = usual = USUAL_MM_S * of_grade * chance.uniform(0.2, 1.0, count) * carries_line(vehicle)
     noise = ({"noise_density": np.full(3, size)} for size in (ACCELEROMETER, GYRO))
     imu = rotorpy("sensors.imu").Imu(
         *({**one, "initial_bias": np.zeros(3), "random_walk": np.zeros(3)} for one in noise), sampling_rate=RATE_HZ
