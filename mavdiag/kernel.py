@@ -214,20 +214,10 @@ def _alarm(
 
 
 @jit
-def _let_count(
-    plan: Any,
-    slot: int,
-    stamps: IntArray,
-    at: Any,
-    bins: Any,
-    anywhere: int,
-    limits: Any,
-    out: Any,
-    outside: Any,
-    n: Any,
-) -> None:
+def _let_count(plan: Any, slot: int, written: Any, bins: Any, anywhere: int, limits: Any, outside: Any, n: Any) -> None:
     """Let a slot's values count as the envelope has it: less where a condition is near its limits, not beyond them."""
-    (ends_ns, conditions, commands), depends, known = bins, plan[slot, DEPENDS] & anywhere, n[BINS]
+    (out, _, at, stamps), (ends_ns, conditions, commands) = written, bins
+    depends, known = plan[slot, DEPENDS] & anywhere, n[BINS]
     late_ns = 0 if plan[slot, BY_RATES] else n[BINS_NS]  # a bin ends with a rate, and what is commanded is told sooner
     told = COMMANDS.stop if plan[slot, BY_RATES] else COMMANDS.start
     first, stop, worst, excess, measured = -1, -1, (-1, 0), 0.0, 0.0
@@ -245,8 +235,9 @@ def _let_count(
         far, which, value = excess, worst[1], measured
         for condition in range(COMMANDS.start, told):
             now = commands[condition - COMMANDS.start, at[number]]
-            if depends >> condition & 1 and excess_of(now, limits, condition) > far:
-                far, which, value = excess_of(now, limits, condition), condition, now
+            beyond = excess_of(now, limits, condition)
+            if depends >> condition & 1 and beyond > far:
+                far, which, value = beyond, condition, now
         out[col.VALUE, number] /= 1.0 + limits[which, 3] * min(far, 1.0) if plan[slot, GROWS] and far > 0.0 else 1.0
         if far > (1.0 if plan[slot, GROWS] else 0.0):
             out[col.SOUND, number] = 0.0
@@ -368,8 +359,8 @@ def compiled() -> Callable[..., None]:
             counts[slot], stamps, own_ns = count, all_stamps[:count], rates_ns if plan[slot, BY_RATES] else t_ns
             for k in range(count):
                 stamps[k] = own_ns[at[slot, k]]
-            _let_count(plan, slot, stamps, at[slot], bins, anywhere, limits, out[slot], outside, numbers)
             written, alarm, telling = (out[slot], evidence, at[slot], stamps), (alarms, alarms_ns), (told, told_ns)
+            _let_count(plan, slot, written, bins, anywhere, limits, outside, numbers)
             numbers[TOLD] = _take_values(
                 slot, (plan, thresholds[0]), t_ns, written, looks, alarm, telling, tally, numbers
             )
