@@ -35,6 +35,7 @@ from mavdiag.rows.gate import GateSpec
 from mavdiag.telemetry import FloatArray
 
 RATE_HZ = 250.0
+BEFORE_S = 8.0  # flown before the log begins: a flight that begins in mid-air, in gusts at once, is none
 G = 9.81  # m/s^2, as RotorPy has it
 USUAL_MM_S, PROPELLER_SHARE = 6.3, 0.01  # balance quality G 6.3; mass of a propeller, of the vehicle's (a guess)
 GYRO, ACCELEROMETER = 7e-5, 1e-3  # noise densities of a small IMU [rad/s, m/s^2 per root of Hz] (a guess)
@@ -148,7 +149,8 @@ def flown(vehicle: str, seconds: float, case: Case, seed: int) -> md.Log:
     hover = hover_of(values)
     state = {name: np.zeros(3) for name in ("x", "v", "w", "wind")}
     state |= {"q": np.array([0.0, 0.0, 0.0, 1.0]), "rotor_speeds": np.full(count, hover)}
-    begin = wanted(case.place, 0.0, float(seed))
+    steps, before = (round(part_s * RATE_HZ) for part_s in (seconds, BEFORE_S))
+    begin = wanted(case.place, -BEFORE_S, float(seed))
     state |= {"x": begin["x"], "v": begin["x_dot"]}
     plant = damageable(values, state, chance)
     of_grade = PROPELLER_SHARE * empty / hover / 1000.0  # kg m a mm/s
@@ -157,15 +159,15 @@ def flown(vehicle: str, seconds: float, case: Case, seed: int) -> md.Log:
     imu = rotorpy("sensors.imu").Imu(
         *({**one, "initial_bias": np.zeros(3), "random_walk": np.zeros(3)} for one in noise), sampling_rate=RATE_HZ
     )
-    steps, command = round(seconds * RATE_HZ), {"cmd_motor_speeds": np.full(count, hover)}
-    wind, rows = winds(case, steps), []
-    for k in range(steps):
-        done = k / steps
+    command = {"cmd_motor_speeds": np.full(count, hover)}
+    wind, rows = winds(case, before + steps), []
+    for k in range(-before, steps):
+        done = max(k, 0) / steps
         plant.left[:], imu.gyro_bias = 1.0 - case.sag * done, np.full(3, case.drift_rad_s * done)
         if k >= steps // 2 and (not case.returns or k * dt_s % 4.0 < 1.0):
             plant.left[1] *= 1.0 - (1.0 - case.left) * (2.0 * done - 1.0 if case.fades else 1.0)
             plant.unbalance[1] = max(usual[1], case.balance_mm_s * of_grade)
-        state["wind"] = wind[k]
+        state["wind"] = wind[before + k]
         measured = imu.measurement(state, plant.statedot(state, command, dt_s))
         command = controller.update(
             k * dt_s, {**state, "w": measured["gyro"]}, wanted(case.place, k * dt_s, float(seed))
@@ -181,7 +183,7 @@ def flown(vehicle: str, seconds: float, case: Case, seed: int) -> md.Log:
         plant.angle = plant.angle + half
         state = plant.step(state, command, dt_s)
         plant.angle = plant.angle + half
-    parts = np.split(np.array(rows), [3, 6, 9, 12, 13, 13 + count], axis=1)
+    parts = np.split(np.array(rows[before:]), [3, 6, 9, 12, 13, 13 + count], axis=1)
     names = "body_rate", "specific_force", "attitude", "attitude_setpoint", "thrust_setpoint", "actuator", "height"
     t_s = np.arange(steps) * dt_s
     return md.Log.from_arrays(
