@@ -17,10 +17,6 @@ from mavdiag.thresholds.heldout import Looks
 MEMORY_S = 0.35  # of the mean square of the command (METHOD section 4)
 REST_SHARE = 0.003  # of rows, believed at rest beside those that are flown (our choice)
 MIN_SHARE = 0.05  # of the mean square, left to k0 however busy the set-point (our choice)
-# rad/s: change of a gyro's bias between flights that is no fault. The IIM-42652's data sheet has 0.005 deg/s a kelvin,
-# and electronics warm up by some 45 K after the power is on: 0.225 deg/s. At the threshold of `sensor_drift` a bias of
-# 0.01 rad/s, which the data sheet allows at power-on (0.5 deg/s), is no fault. (45 K is an estimate.)
-USUAL_BIAS = 0.004
 SCORINGS, RANK = 4, 1e-12  # of the variance law; from where on its two columns differ (our choices)
 Found = TypeVar("Found")
 

@@ -26,9 +26,10 @@ LAG = 4  # rows that A and B look back: METHOD section 5; 2 to 5 change no verdi
 SETTLED = 3.0  # so many times the memory after a command what it made has passed (our choice)
 WINDOW_S = 1.0  # our choice; 0.7 to 1.3 s change no verdict
 SLOW_S = 0.016  # memory of the mean error: what changes below 10 Hz is no news, for gusts make it (our choice)
-# Rms and memory of the rate that gusts make (our choice). 0.05 to 0.2 rad/s answer the recorded flights alike; with less
-# than 0.13, RotorPy's gusts of 1 m/s make a fault of a healthy vehicle of 30 g.
-GUST_RAD_S, GUST_S = 0.2, 0.1
+GUST_RAD_S, GUST_S = 0.05, 0.2  # rms and memory of the rate that gusts make (our choice, after RotorPy's of 0.3 m/s)
+# rad/s by which a command is wrong (our choice; 0.0003 to 0.003 answer alike). Else a calm command, which is smooth, is
+# fitted best by 43 times its third differences, which gusts make large: a fault of a healthy vehicle of 30 g (RotorPy).
+ROUNDED_RAD_S = 0.001
 MIN_ROWS = 500  # 60 a parameter (our choice)
 TRAIN_ROWS = 120_000  # more of it no longer changes the coefficients (our choice)
 SHIFTS = 0.06, 0.12  # of a rotor's frequency: its line moves so far with a load that counts as covered (our choice)
@@ -130,7 +131,7 @@ class Innovation(Monitor[InnovationSpec]):
     Without a filter in the stream A and B are fitted to the gyro as it is, and with what is fast in it shifted by 6 and
     12 % of a rotor's frequency: a folded line moves with a load, so that 15 % of payload at 100 Hz made 1.6 of 1.
     In calm air u alone says where y is, and A, B that fit it best are wrong in gusts (RotorPy's of 1 m/s: 4 times the
-    threshold). So as many rows are added in which y moves as gusts move it, and u does not.
+    threshold). So as many rows are added in which y moves as gusts move it, and u does not, and u is wrong by 1 mrad/s.
 
     Warm-up: half an SG window, 4 rows and 1 s; after a gap of less than a second only the first two. Latency: half an
     SG window and up to 1 s. False alarms: aerobatics and storms that the healthy flights lacked. Blind spots: a weak
@@ -174,13 +175,13 @@ class Innovation(Monitor[InnovationSpec]):
         turns = [shift * speed * context.dt_s for shift in SHIFTS] if speed else []
         shifted = [_shifted(one, turn) for turn in turns for one in pairs]
         borders, slow = np.cumsum([one.valid.sum() for one in pairs])[:-1], forgetting(SLOW_S, context.dt_s)
-        gust = _gust(context.dt_s)
+        unseen = _unseen(context.dt_s)
         for axis in range(3):
             # [ -y(t-1) .. -y(t-4)   u(t-1) .. u(t-4)   y(t) ]'    (9, n), the valid rows of all flights
             stacked = np.concatenate([_regression(one, axis, float(mean[axis])) for one in pairs], axis=1)
             triangles = [triangle(_regression(one, axis, float(mean[axis])).T) for one in shifted]
             R = triangle(np.concatenate((triangle(stacked.T), *triangles)))
-            R = triangle(np.concatenate((R, math.sqrt((1 + len(triangles)) * stacked.shape[1]) * gust)))
+            R = triangle(np.concatenate((R, math.sqrt((1 + len(triangles)) * stacked.shape[1]) * unseen)))
             scale = np.linalg.norm(R[:, :-1], axis=0)
             scale[scale == 0.0] = 1.0  # b of an axis that is never commanded is undetermined, and comes out as zero
             theta = np.linalg.lstsq(R[:, :-1] / scale, R[:, -1], rcond=RANK_TOLERANCE)[0] / scale
@@ -267,14 +268,16 @@ def _regression(pairs: _Pairs, axis: int, mean: float) -> FloatArray:
     return np.compress(pairs.valid, [*columns, y[LAG:]], axis=1)
 
 
-def _gust(dt_s: float) -> FloatArray:
-    """R of the regression of one row of a rate that gusts make and no command: (5, 9).
+def _unseen(dt_s: float) -> FloatArray:
+    """R of the regression of one row of what calm flights do not show: (9, 9).
 
-    It is white noise behind two poles at GUST_S, whose correlation after a time t is (1 + t/GUST_S) e^(-t/GUST_S).
+    A rate that gusts make and no command is white noise behind two poles at GUST_S, whose correlation after a time t is
+    (1 + t/GUST_S) e^(-t/GUST_S). And a command is wrong by white noise, which no rate follows.
     """
     late = np.abs(np.subtract.outer(range(LAG + 1), range(LAG + 1))) * dt_s / GUST_S
     y = GUST_RAD_S * np.linalg.cholesky((1.0 + late) * np.exp(-late)).T  # of now and of the rows before
-    return np.column_stack((-y[:, 1:], np.zeros((LAG + 1, LAG)), y[:, 0]))
+    gust = np.column_stack((-y[:, 1:], np.zeros((LAG + 1, LAG)), y[:, 0]))
+    return np.concatenate((gust, ROUNDED_RAD_S * np.eye(LAG, 2 * LAG + 1, LAG)))
 
 
 def _four(values: FloatArray) -> Four:

@@ -17,9 +17,9 @@ from mavdiag.identify import Method
 from mavdiag.identify.arx import ModelRecord
 from mavdiag.monitors import innovation
 from mavdiag.monitors.base import Flights
-from mavdiag.monitors.fitting import USUAL_BIAS, variance_law
+from mavdiag.monitors.fitting import variance_law
 from mavdiag.monitors.innovation import Innovation, InnovationSpec
-from mavdiag.monitors.run_length import RunLength, RunLengthSpec
+from mavdiag.monitors.run_length import LEAST_MARGIN, RunLength, RunLengthSpec
 from mavdiag.rows.block import MADE_UP, VALID, WHOLE, U
 from mavdiag.rows.front import Rows
 from mavdiag.telemetry import Axis, FloatArray
@@ -46,14 +46,16 @@ def test_fsd_counts_consecutive_judged_rows_above_the_margin(rows: list[tuple[fl
 
 def test_the_margin_is_hazen_s_90th_percentile_of_the_size() -> None:
     rows = flying_rows(flying(2000, 1))
+    rates = [values for one in rows for values in (one.rates.u, one.rates.y)]
+    for values in rates:
+        values *= 10.0
     for rule, expected in (("p90", 90), ("max", 100)):
         (spec,) = RunLength.fit([rows], replace(CONTEXT, axes=(Axis.ROLL,), margin_rule=rule))
         levels = np.abs(np.concatenate([one.signal[one.valid] for one in RunLength(spec).over(rows)]))
         assert spec.margin_rad_s == pytest.approx(np.percentile(levels, expected, method="hazen"), rel=1e-9)
-    for one in rows:
-        one.rates.u[:] *= 1e-3
-        one.rates.y[:] *= 1e-3
-    assert RunLength.fit([rows], replace(CONTEXT, axes=(Axis.ROLL,)))[0].margin_rad_s == USUAL_BIAS
+    for values in rates:
+        values *= 1e-4
+    assert RunLength.fit([rows], replace(CONTEXT, axes=(Axis.ROLL,)))[0].margin_rad_s == LEAST_MARGIN
 
 
 def test_an_axis_that_cannot_be_learnt_does_not_veto_the_other() -> None:
@@ -112,7 +114,7 @@ def test_the_fit_is_least_squares_with_the_variance_law_of_its_errors() -> None:
         phi = np.stack([*(-y[4 - i : n - i] for i in range(1, 5)), *(u[4 - i : n - i] for i in range(1, 5))], axis=1)
         plain, late = np.linalg.lstsq(phi, y[4:], rcond=None)[0], DT_S / 0.2 * np.arange(5)
         gust = len(phi) * 0.05**2 * (1 + late) * np.exp(-late)  # autocorrelation of white noise behind two poles
-        normal = phi.T @ phi + block_diag(toeplitz(gust[:4]), np.zeros((4, 4)))
+        normal = phi.T @ phi + block_diag(toeplitz(gust[:4]), len(phi) * 0.001**2 * np.eye(4))
         theta = np.linalg.solve(normal, phi.T @ y[4:] - np.append(gust[1:], np.zeros(4)))
         np.testing.assert_allclose([*spec.a[k], *spec.b[k]], theta, rtol=1e-6, atol=1e-9)
         alpha, fast, e = 1 - np.exp(-DT_S / 0.35), np.exp(-DT_S / 0.016), y[4:] - phi @ theta
