@@ -266,7 +266,7 @@ class _Run:
         faults = [change for change in self.changes if change.stage is Stage.FAULT]
         upset, share = "" if self.upset is None else self.upset.text, self._share()
         if faults:
-            told = fault_reason(_gravest(faults), faults, self.events) + self._when(faults[0].t_ns)
+            told = fault_reason(_gravest(faults), self.changes, self.events) + self._when(faults[0].t_ns)
             return Verdict.FAULT, "; ".join(filter(None, (told, upset, share)))
         if upset:
             return Verdict.FAULT, f"{FaultKind.LOSS_OF_CONTROL}: {upset}; {share}"
@@ -276,8 +276,10 @@ class _Run:
         if suspicion := self._suspicion():
             parts = suspicion, inspect_words(self._suspected_rotor()), share
             return Verdict.SUSPECTED, "; ".join(filter(None, parts))
-        if self.judged_s < max(MIN_JUDGED_S, self.judged_share * self.flown_s):
+        if self.judged_s < self.judged_share * self.flown_s:
             return Verdict.NOT_JUDGEABLE, share
+        if self.judged_s < MIN_JUDGED_S:
+            return Verdict.NOT_JUDGEABLE, f"too little flight: {share}"
         return Verdict.HEALTHY, f"no alarm; {share}"
 
     def _suspected_rotor(self) -> int | None:
@@ -302,8 +304,7 @@ class _Run:
     def _share(self) -> str:
         share = self.judged_s / self.flown_s if self.flown_s else 0.0
         own = [one for one in self.monitors if one.decides and by_name(one.name).kind is FaultKind.PROPELLER]
-        enough = max(MIN_JUDGED_S, MOSTLY * self.judged_s)
-        spoke = [one for one in own if one.judged_s >= (enough if one.not_judged else MIN_JUDGED_S)]
+        spoke = [one for one in own if one.judged_s > (MOSTLY * self.judged_s if one.not_judged else 0.0)]
         text = f"judged {self.judged_s:.1f} s of {self.flown_s:.1f} s ({100 * share:.0f} %)"
         text += f" by {', '.join(one.name for one in spoke)}" if spoke else ""
         text += f", without {self.takeoff_s:.1f} s of take-off or start" if self.takeoff_s >= 0.1 else ""
@@ -316,7 +317,7 @@ class _Run:
         longest = sorted(spans, key=lambda span: span[0] - span[1])[:MOST_STRETCHES]
         why += [f"nothing judged {self._between(*span)}{f' ({cause})' if cause else ''}" for span in sorted(longest)]
         judged = [f"; it judged {one.judged_s:.0f} s" if one.judged_s >= MIN_JUDGED_S else "" for one in lacking]
-        reasons = [f"{m.name} ({m.not_judged or 'too little flight'}{s})" for m, s in zip(lacking, judged, strict=True)]
+        reasons = [f"{m.name} ({m.not_judged}{s})" for m, s in zip(lacking, judged, strict=True)]
         why += [f"not judged by {', '.join(reasons)}"] if reasons else []
         return f"{text}{': ' if short else '; '}{'; '.join(why)}" if why else text
 

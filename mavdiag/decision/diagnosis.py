@@ -1,7 +1,9 @@
 """What is held of a vehicle (the stage, the evidence, what is known of the fault), and the alarms of its monitors."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from enum import StrEnum
+from itertools import pairwise
 
 from mavdiag.monitors.base import FaultKind
 from mavdiag.telemetry import Axis
@@ -85,6 +87,15 @@ class Change(Diagnosis):
         where = "" if self.rotor is None else f", rotor {self.rotor}"
         evidence = "" if self.monitor is None else f" ({self.monitor} {self.statistic:.3g} of {self.threshold:.3g})"
         return f"{self.t_ns / NS_PER_S:.2f} s {self.title}: {self.reason}{evidence}{where}"
+
+
+def graded(changes: Sequence[Change]) -> Change | None:
+    """The change that named the type of a fault last; None if that was withdrawn while the same fault was seen."""
+    found = None
+    for before, change in pairwise(changes):
+        if change.fault_type is not None or (before.fault_type is not None and before.seen):
+            found = change
+    return None if found is None or found.fault_type is None else found
 
 
 @dataclass(frozen=True, slots=True)

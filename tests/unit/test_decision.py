@@ -13,7 +13,7 @@ from scipy.stats import multivariate_normal
 from mavdiag.airframe.layout import Motor, layout_named
 from mavdiag.airframe.propellers import FaultType
 from mavdiag.decision.alarm import LEFT_ALONE, NEXT, DecisionSpec, DecisionState
-from mavdiag.decision.diagnosis import Change, Event, Stage
+from mavdiag.decision.diagnosis import Change, Event, Stage, graded
 from mavdiag.decision.grading import Assessment, FaultTypes, Gathered, assess, known_fault_types
 from mavdiag.decision.kinds import Reading, grown, isolate, named
 from mavdiag.decision.words import fault_reason
@@ -203,6 +203,8 @@ def test_b3_the_end_of_a_flight_closes_its_events_and_forgets_them() -> None:
     assert [one.end_ns for one in opened] == [None]
     after, _, changes = SPEC.end_segment(state, Looked(), (), 4 * NS_PER_S, flies=True)  # the data broke off
     assert (after.diagnosis, after.episode, changes) == (state.diagnosis, state.episode, ())
+    (broken,) = SPEC.end_segment(decided(values(profile((2, 0.3))))[0], Looked(), (), 4 * NS_PER_S, flies=True)[2]
+    assert (broken.stage, broken.reason) == (Stage.NOT_JUDGED, "the data broke off")
     open_ = Alarm(0, 0, 2 * NS_PER_S, round(3.98 * NS_PER_S), 2.0, 2.0)
     state, closed, changes = SPEC.end_segment(state, Looked(), [open_], 4 * NS_PER_S)
     assert [(one.start_ns, one.end_ns, one.rotor) for one in closed] == [(2 * NS_PER_S, open_.end_ns, 4)]
@@ -253,6 +255,8 @@ def test_type_and_severity_are_named_when_known_and_not_without_a_classifier() -
         named = [one for one in changes if one.fault_type is not None]
         assert bool(named) == bool(types)
     assert named[0].reason == "the kind of fault is named"
+    withdrawn, over = replace(named[-1], fault_type=None), replace(named[-1], seen=False)
+    assert (graded((*changes, withdrawn)), graded((*changes, over, withdrawn))) == (None, over)
 
 
 def test_the_table_has_one_way_into_a_fault_and_no_height_ends_it() -> None:
