@@ -150,11 +150,11 @@ def tumbling() -> Telemetry:
 
 
 def test_f1_a_vehicle_that_tumbles_until_its_log_ends_is_no_healthy_one() -> None:
-    verdict = judge(logged(tumbling()), flown())
-    assert verdict.verdict is Verdict.FAULT
-    assert "the flight ends in an upset, at 3" in verdict.reason
-    assert verdict.since_s == pytest.approx(31.0, abs=1.0)
-    assert verdict.flown_s == pytest.approx(34.0 - 5.0, abs=0.2)
+    shaken = changed(tumbling(), Signal.VIBRATION, lambda x: 3.0 * x, 12.0, 34.0)  # a propeller fault before
+    verdict = judge(logged(shaken), flown())
+    assert (verdict.verdict, verdict.kind) == (Verdict.FAULT, FaultKind.LOSS_OF_CONTROL)
+    assert re.search("^loss of control: .*, first at 31.* the flight ends in an upset, at 3", verdict.reason)
+    assert [verdict.since_s, verdict.flown_s] == pytest.approx([31.0, 34.0 - 5.0], abs=0.2)
     with pytest.raises(InputError, match="the flight ends in an upset, at 3"):
         learn([logged(tumbling())], LearnOptions(airframe=replace(FRAME, gate=None)), created=NOW)
 
