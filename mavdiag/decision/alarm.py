@@ -25,7 +25,7 @@ from mavdiag.decision.diagnosis import Change, Diagnosis, Event, RotorSpan, Stag
 from mavdiag.decision.grading import FaultTypes, Gathered, assess
 from mavdiag.decision.kinds import Reading, grown, named
 from mavdiag.kernel import AT, CALM_BELOW, LOOK_NS, NAN, STALE_LOOKS, Alarm, Height, Looked, Slot
-from mavdiag.monitors.base import FaultKind
+from mavdiag.monitors.base import FaultKind, Feature
 from mavdiag.telemetry import FloatArray
 from mavdiag.units import NS_PER_S
 
@@ -244,6 +244,8 @@ class DecisionSpec:
         episode = replace(episode, gathered=gathered)
         if t_ns - gathered.since_ns < known.after_s * NS_PER_S:
             return replace(state, episode=episode), False
+        if now.seen and Feature.MOTION not in gathered.sums:  # without it nothing is named: it is gathered anew
+            return replace(state, episode=replace(episode, gathered=Gathered(t_ns))), False
         found = assess(gathered.features(now.rotor), known)
         after = replace(now, fault_type=found.fault_type, severity=found.severity)
         news = after != now
