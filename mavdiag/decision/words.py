@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from mavdiag.airframe.trim import loss_of
-from mavdiag.decision.diagnosis import Change, Diagnosis, Event, Stage, graded
+from mavdiag.decision.diagnosis import Change, Diagnosis, Event, Stage, above, graded
 from mavdiag.monitors import BY_NAME, MONITORS, by_name
 from mavdiag.monitors.base import FaultKind
 from mavdiag.printable import counted
@@ -75,7 +75,7 @@ def diagnosis_line(held: Diagnosis) -> str:
     if held.stage not in (Stage.FAULT, Stage.SUSPECTED) or held.monitor is None:
         return str(held)
     unit = f" {held.unit}" if held.unit else ""
-    return f"{held} ({held.monitor} {held.statistic:.3g} > {held.threshold:.3g}{unit})"
+    return f"{held} ({held.monitor} {held.statistic:.3g} of {held.threshold:.3g}{unit})"
 
 
 def inspect_words(rotor: int | None) -> str:
@@ -92,16 +92,13 @@ def fault_reason(kind: FaultKind | None, changes: Sequence[Change], events: Sequ
     spans, faults = declared[-1].rotors, [change for change in declared if change.kind is kind]
     worst = max(faults, key=lambda change: change.statistic / change.threshold if change.threshold else 0.0)
     same = (event.statistic for event in events if (event.monitor, event.axis) == (worst.monitor, worst.axis))
-    statistic, places = max(same, default=worst.statistic), 3
-    while places < 9 and f"{statistic:.{places}g}" == f"{worst.threshold:.{places}g}" != "0":
-        places += 1
     rotor = f"; rotor {spans[0].rotor}" if len(spans) == 1 else ""
     if len(spans) > 1:
         named = (f"rotor {span.rotor} from {span.since_ns / NS_PER_S:.1f} s" for span in spans[:MOTORS_MOST])
         rotor = f"; {', '.join(named)}" + (f" and {len(spans) - MOTORS_MOST} more" * (len(spans) > MOTORS_MOST))
     typed = graded(changes)
     axis = f" on {worst.axis}" if worst.axis is not None else ""
-    evidence = f"{worst.monitor}{axis} {statistic:.{places}g} > {worst.threshold:.{places}g}"
+    evidence = f"{worst.monitor}{axis} {above(max(same, default=worst.statistic), worst.threshold)}"
     doubt = f"; {text}" if (text := _doubt(events)) else ""
     what = "" if kind in (None, FaultKind.PROPELLER) else f"{kind}: "
     likeness = "" if typed is None else f"; {typed.fault_type}"

@@ -13,10 +13,10 @@ from scipy.stats import multivariate_normal
 from mavdiag.airframe.layout import Motor, layout_named
 from mavdiag.airframe.propellers import FaultType
 from mavdiag.decision.alarm import LEFT_ALONE, NEXT, DecisionSpec, DecisionState
-from mavdiag.decision.diagnosis import Change, Event, Stage, graded
+from mavdiag.decision.diagnosis import Change, Diagnosis, Event, Stage, graded
 from mavdiag.decision.grading import Assessment, FaultTypes, Gathered, assess, known_fault_types
 from mavdiag.decision.kinds import Reading, grown, isolate, named
-from mavdiag.decision.words import fault_reason
+from mavdiag.decision.words import diagnosis_line, fault_reason
 from mavdiag.kernel import EVIDENCE, LAST_LEVEL, LOOK_NS, Alarm, Height, Looked
 from mavdiag.monitors import MONITORS
 from mavdiag.monitors.base import FaultKind, Feature, RotorEvidence
@@ -82,6 +82,8 @@ def test_coming_near_is_suspected_with_its_rotor_and_goes_away_after_two_calm_se
     assert changes[2].t_ns == pytest.approx(7 * NS_PER_S, abs=2 * LOOK_NS)
     told = [(one.stage, one.rotor) for one in changes]
     assert (told, events) == ([(Stage.QUIET, None), (Stage.SUSPECTED, 1), (Stage.QUIET, None)], ())
+    near = Diagnosis(Stage.SUSPECTED, "near", monitor="unbalance", statistic=0.42, threshold=0.5)
+    assert diagnosis_line(near) == "suspected: near (unbalance 0.42 of 0.5)"
 
 
 @pytest.mark.parametrize(("memory_s", "raised_s", "suspected"), [(1.3, 0.6, False), (1.3, 0.9, True), (3.0, 0.2, True)])
@@ -126,9 +128,9 @@ def test_u2_every_rotor_is_named_with_its_span_and_its_own_figure() -> None:
     named = [(one.rotor, one.statistic) for one in changes if one.stage is Stage.FAULT and one.seen]
     assert named == [(1, 1.0), (4, 2.0), (1, 1.5)]  # H12: the first motor had the figure of the second
     assert ([one.rotor for one in events], state.diagnosis.declared_ns) == ([1, 1, 4, 4, 1, 1], 2.32 * NS_PER_S)
-    told = fault_reason(FaultKind.PROPELLER, [change for change in changes if change.stage is Stage.FAULT], events)
+    told = fault_reason(FaultKind.PROPELLER, changes, events)
     assert "; rotor 1 from 2.3 s, rotor 4 from 22.3 s, rotor 1 from 42.3 s" in told
-    assert " from 2.32 s" in str(events[0])
+    assert str(replace(events[0], statistic=0.5004)) == "unbalance 0.5004 > 0.5 from 2.32 s, rotor 1"
 
 
 def test_a_name_that_was_wrong_at_first_is_replaced() -> None:

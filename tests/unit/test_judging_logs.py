@@ -71,7 +71,6 @@ def test_what_cannot_be_judged_says_why(telemetry: Telemetry, profile: str, reas
     verdict = judge(logged(telemetry, profile), thesis())
     assert verdict.verdict is Verdict.NOT_JUDGEABLE
     assert verdict.reason.startswith(reason)
-    assert "\n" not in verdict.reason
 
 
 def test_b1_what_no_deciding_monitor_judged_is_not_healthy() -> None:
@@ -288,7 +287,6 @@ def test_the_traces_hold_the_highest_statistic_of_the_verdict() -> None:
     assert judged.chain is not None
     roll = next(one for one in rate_traces(judged.chain, judged.pieces) if one.axis is Axis.ROLL)
     assert roll.fsd_s[roll.judged].max() == judged.verdict.monitors[0].maximum
-    assert roll.fml_s == judged.verdict.monitors[0].threshold
     assert (roll.fsd_s > 0).sum() == (roll.judged & (np.abs(roll.residual) > roll.margin_rad_s)).sum()
 
 
