@@ -103,9 +103,7 @@ class Session:
             self._armings += self.armed and not was_armed
             if self.armed and not was_armed and self.judge and self._same_session(now) is not self._same:
                 self._judge_anew("another session, by the wall clock")
-        held = self._held if self.judge is None else self.judge.memory.decision.decided
-        if held.stage in (Stage.FAULT, Stage.SUSPECTED):
-            held = self.diagnosis  # with the evidence that is told
+        held = self.diagnosis
         self._effects += self.reaction.step(held, self.armed, received, now)
         self._notices += self._telling.step(held, self._armings)
         return (*self._effects, *self._presenter.present(self._notices, now))
@@ -369,7 +367,7 @@ class Session:
         if now - judge.judged >= IDLE_S and (ground or not unjudged):
             why = short = f": {ground.text if ground else 'propellers not judged'}"
         self.reason, self._unjudged = f"monitoring{why}", unjudged
-        if judge.memory.decision.decided.stage not in (Stage.FAULT, Stage.INSPECT) or unjudged:
+        if judge.memory.decision.diagnosis.stage not in (Stage.FAULT, Stage.INSPECT) or unjudged:
             self._say(Kind.MONITORING, short, key=short)
 
     def _faulted(self, received: Received, now: Instant) -> None:

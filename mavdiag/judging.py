@@ -77,7 +77,7 @@ class LogVerdict(Tabular):
     flown_s: in the air, without take-offs and landings; what nobody could judge, as without a gyro, is in it.
     judged_s: how much of it any monitor that decides about propellers judged.
     notes: what a reader must know of the log or the baseline, one sentence each; the reason has them, too.
-    kind, since_s: the gravest kind of fault that was declared, and when, of the vehicle's clock.
+    kind, since_s: the gravest kind of fault that was declared, and when it was, of the vehicle's clock.
     rotor: named last, by a fault or else by a suspicion.
     """
 
@@ -230,6 +230,10 @@ class _Run:
         self.monitors = _summaries(self.chain, self.state.accounts, self.events)
         self.upset, front = upset_in(self._motion), self.chain.front
         self.hidden = hidden_flight(self.log.telemetry, front.gate, front.align.quality, self._spans)
+        faults = (
+            change for change in self.changes if change.stage is Stage.FAULT
+        )  # of the gravest kind the first one:
+        self.fault = max(faults, key=lambda one: -1 if one.kind is None else one.kind.rank, default=None)
         memory, dt_s = self.state.memory, self.chain.kernel.dt_s
         self.chain.kernel.restart(memory)  # what no value reaches any more is not judged
         self.flown_s = memory.flown * dt_s + sum(one.end_s - one.begin_s for one in self.hidden)
@@ -237,8 +241,7 @@ class _Run:
         self.takeoff_s = (memory.rows - memory.flown) * dt_s
 
     def verdict(self, notes: tuple[str, ...], rate_hz: float) -> LogVerdict:
-        kind = _gravest(self.changes)
-        since = next((change.t_ns / NS_PER_S for change in self.changes if change.stage is Stage.FAULT), None)
+        kind, since = (None, None) if self.fault is None else (self.fault.kind, self.fault.t_ns / NS_PER_S)
         verdict, reason = self._answer()
         if kind is None and verdict is Verdict.FAULT and self.upset is not None:
             kind, since = FaultKind.LOSS_OF_CONTROL, self.upset.begin_s
@@ -263,10 +266,9 @@ class _Run:
 
     def _answer(self) -> tuple[Verdict, str]:
         """A fault if one was declared or the flight has an upset, healthy only if enough of it was judged."""
-        faults = [change for change in self.changes if change.stage is Stage.FAULT]
         upset, share = "" if self.upset is None else self.upset.text, self._share()
-        if faults:
-            told = fault_reason(_gravest(faults), faults, self.events) + self._when(faults[0].t_ns)
+        if self.fault is not None:
+            told = fault_reason(self.fault.kind, self.changes, self.events) + self._when(self.fault.t_ns)
             return Verdict.FAULT, "; ".join(filter(None, (told, upset, share)))
         if upset:
             return Verdict.FAULT, f"{FaultKind.LOSS_OF_CONTROL}: {upset}; {share}"
@@ -276,8 +278,10 @@ class _Run:
         if suspicion := self._suspicion():
             parts = suspicion, inspect_words(self._suspected_rotor()), share
             return Verdict.SUSPECTED, "; ".join(filter(None, parts))
-        if self.judged_s < max(MIN_JUDGED_S, self.judged_share * self.flown_s):
+        if self.judged_s < self.judged_share * self.flown_s:
             return Verdict.NOT_JUDGEABLE, share
+        if self.judged_s < MIN_JUDGED_S:
+            return Verdict.NOT_JUDGEABLE, f"too little flight: {share}"
         return Verdict.HEALTHY, f"no alarm; {share}"
 
     def _suspected_rotor(self) -> int | None:
@@ -302,8 +306,7 @@ class _Run:
     def _share(self) -> str:
         share = self.judged_s / self.flown_s if self.flown_s else 0.0
         own = [one for one in self.monitors if one.decides and by_name(one.name).kind is FaultKind.PROPELLER]
-        enough = max(MIN_JUDGED_S, MOSTLY * self.judged_s)
-        spoke = [one for one in own if one.judged_s >= (enough if one.not_judged else MIN_JUDGED_S)]
+        spoke = [one for one in own if one.judged_s > (MOSTLY * self.judged_s if one.not_judged else 0.0)]
         text = f"judged {self.judged_s:.1f} s of {self.flown_s:.1f} s ({100 * share:.0f} %)"
         text += f" by {', '.join(one.name for one in spoke)}" if spoke else ""
         text += f", without {self.takeoff_s:.1f} s of take-off or start" if self.takeoff_s >= 0.1 else ""
@@ -316,7 +319,7 @@ class _Run:
         longest = sorted(spans, key=lambda span: span[0] - span[1])[:MOST_STRETCHES]
         why += [f"nothing judged {self._between(*span)}{f' ({cause})' if cause else ''}" for span in sorted(longest)]
         judged = [f"; it judged {one.judged_s:.0f} s" if one.judged_s >= MIN_JUDGED_S else "" for one in lacking]
-        reasons = [f"{m.name} ({m.not_judged or 'too little flight'}{s})" for m, s in zip(lacking, judged, strict=True)]
+        reasons = [f"{m.name} ({m.not_judged}{s})" for m, s in zip(lacking, judged, strict=True)]
         why += [f"not judged by {', '.join(reasons)}"] if reasons else []
         return f"{text}{': ' if short else '; '}{'; '.join(why)}" if why else text
 
@@ -333,11 +336,6 @@ class _Run:
     @property
     def _begin_s(self) -> float:
         return float(np.min(self.log.telemetry.need(Signal.BODY_RATE).t_ns)) / NS_PER_S
-
-
-def _gravest(changes: Sequence[Change]) -> FaultKind | None:
-    kinds = (change.kind for change in changes if change.kind is not None)
-    return max(kinds, key=lambda kind: kind.rank, default=None)
 
 
 def _summaries(chain: Chain, accounts: Sequence[Account], events: Sequence[Event]) -> tuple[MonitorSummary, ...]:

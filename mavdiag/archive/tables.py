@@ -8,7 +8,7 @@ from typing import TypeAlias
 
 from mavdiag.archive.figures import Window, WindowMonitor
 from mavdiag.archive.scan import Answer
-from mavdiag.decision.alarm import Stage
+from mavdiag.decision.diagnosis import Stage, graded
 from mavdiag.judging import LogVerdict
 from mavdiag.monitors import MONITORS
 from mavdiag.storage import write_atomically
@@ -31,7 +31,7 @@ COLUMNS: dict[str, type[str] | type[float] | type[int]] = {
 
 def rows_of(answer: Answer) -> Iterator[Row]:
     """The rows of a log, by COLUMNS: one for each of its windows, or one where it has none."""
-    verdict = answer.verdict
+    verdict, typed = answer.verdict, graded(answer.verdict.changes)
     faults = [change for change in verdict.changes if change.stage is Stage.FAULT and change.kind is verdict.kind]
     spans = [
         f"{span.rotor} from {span.since_ns / NS_PER_S:.1f} s"
@@ -47,9 +47,9 @@ def rows_of(answer: Answer) -> Iterator[Row]:
         "since_s": verdict.since_s,
         "rotor": verdict.rotor,
         "rotors": "; ".join(spans) or None,
-        "fault_type": _last(change.fault_type for change in faults),
-        "severity": _last(change.severity for change in faults),
-        "confidence": _last(change.confidence for change in faults),
+        "fault_type": None if typed is None else typed.fault_type,
+        "severity": None if typed is None else typed.severity,
+        "confidence": next((one.confidence for one in reversed(faults) if one.confidence is not None), None),
         "alarms": len(verdict.events),
         "profile": verdict.profile or None,
         "rate_hz": verdict.rate_hz or None,
@@ -69,10 +69,6 @@ def _whole(verdict: LogVerdict) -> Window:
     highest, whose = max(((ratio, name) for ratio, name in known if ratio is not None), default=(None, None))
     monitors = tuple(WindowMonitor(one.name, one.judged_s, ratios[one.name]) for one in verdict.monitors)
     return Window(0.0, 0.0, verdict.verdict, verdict.flown_s, verdict.judged_s, highest, whose, monitors)
-
-
-def _last(values: Iterable[Value]) -> Value:
-    return next((value for value in reversed(list(values)) if value is not None), None)
 
 
 def write_csv(path: Path, rows: Iterable[Row]) -> None:

@@ -19,13 +19,13 @@ recording give the same.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 from mavdiag.decision.diagnosis import Change, Diagnosis, Event, RotorSpan, Stage
 from mavdiag.decision.grading import FaultTypes, Gathered, assess
 from mavdiag.decision.kinds import Reading, grown, named
-from mavdiag.kernel import AT, CALM_BELOW, LOOK_NS, NAN, RATIO, READ, STALE_LOOKS, Alarm, Height, Looked, Slot
-from mavdiag.monitors.base import FaultKind
+from mavdiag.kernel import AT, CALM_BELOW, LOOK_NS, NAN, STALE_LOOKS, Alarm, Height, Looked, Slot
+from mavdiag.monitors.base import FaultKind, Feature
 from mavdiag.telemetry import FloatArray
 from mavdiag.units import NS_PER_S
 
@@ -85,46 +85,17 @@ class Episode:
     graded: int = 0
 
 
-class Lead(NamedTuple):
-    """The evidence that leads: slot (None for none), ratio and value."""
-
-    slot: Slot | None = None
-    ratio: float = NAN
-    value: float = NAN
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class DecisionState:
-    """What is held, but for the evidence that leads (None: that of the diagnosis); since when all ratios are calm, one
-    is raised or over, and one is over (None if not); the latest episode of a fault.
+    """What is held; since when all ratios are calm, one is raised or over, and one is over (None if not); the latest
+    episode of a fault.
     """
 
-    decided: Diagnosis = NOTHING_SEEN
+    diagnosis: Diagnosis = NOTHING_SEEN
     calm_ns: int | None = None
     raised_ns: int | None = None
     over_ns: int | None = None
     episode: Episode | None = None
-    lead: Lead | None = None
-
-    @property
-    def diagnosis(self) -> Diagnosis:
-        """What is held, with the evidence that leads."""
-        if self.lead is None:
-            return self.decided
-        slot, ratio, value = self.lead
-        if slot is None:
-            return replace(self.decided, monitor=None, axis=None, unit="", statistic=NAN, threshold=NAN)
-        (name, axis), threshold = slot.key, slot.threshold
-        evidence = max(value, ratio * threshold)
-        return replace(
-            self.decided, monitor=name, axis=axis, unit=slot.monitor.unit, statistic=evidence, threshold=threshold
-        )
-
-    def deciding(self, diagnosis: Diagnosis, lead: Lead | None, episode: Episode | None = None) -> "DecisionState":
-        """The state with another diagnosis and lead, and another episode if there is one."""
-        return DecisionState(
-            diagnosis, self.calm_ns, self.raised_ns, self.over_ns, episode or self.episode, lead or self.lead
-        )
 
 
 Step: TypeAlias = tuple[DecisionState, tuple[Event, ...], tuple[Change, ...]]
@@ -152,16 +123,15 @@ class DecisionSpec:
                 alarms.append(told.pop(0))
             if not alarms and height is not None and height in left_alone:
                 state, before = _since(state, height, t_ns), height
-                if last and state.decided.stage not in (Stage.FAULT, Stage.INSPECT):
+                if last and state.diagnosis.stage not in (Stage.FAULT, Stage.INSPECT):
                     slot = looked.leads[number]
-                    known = looked.readings[number, slot, : READ + 1].tolist() if slot >= 0 else (NAN, NAN)
-                    lead = Lead(self.slots[slot] if slot >= 0 else None, known[RATIO], known[READ])
-                    state = state.deciding(state.decided, lead)
+                    best = Reading.of(self.slots[slot], looked.readings[number, slot].tolist()) if slot >= 0 else None
+                    state = replace(state, diagnosis=_shown_by(state.diagnosis, best))
                 continue
             rows, oldest = zip(self.slots, looked.readings[number].tolist(), strict=True), t_ns / LOOK_NS - STALE_LOOKS
             fresh = [Reading.of(slot, row) for slot, row in rows if row[AT] >= oldest]
             state, change = self._decide(state, fresh, t_ns)
-            if state.decided.stage is Stage.FAULT:
+            if state.diagnosis.stage is Stage.FAULT:
                 state, graded = self._grade(state, looked.sums[number], t_ns)
                 change = change or graded
             events += self.named(state, alarms)
@@ -177,10 +147,10 @@ class DecisionSpec:
         flies: it may still fly, so that a fault and its episode stay.
         """
         state, events, changes = self.step(state, looked)
-        if flies and state.decided.stage is Stage.FAULT:
+        if flies and state.diagnosis.stage is Stage.FAULT:
             events = (*events, *self.named(state, ended))
-            return DecisionState(state.decided, episode=state.episode, lead=state.lead), events, changes
-        held = landed(state.diagnosis, t_ns)
+            return DecisionState(state.diagnosis, episode=state.episode), events, changes
+        held = landed(state.diagnosis, t_ns, "the data broke off" if flies else "not flying")
         if held.stage is not state.diagnosis.stage:
             changes = (*changes, Change.of(held, t_ns))
         return DecisionState(held), (*events, *self.named(state, ended)), changes
@@ -195,7 +165,7 @@ class DecisionSpec:
 
     def named(self, state: DecisionState, alarms: Sequence[Alarm]) -> tuple[Event, ...]:
         """Alarms as events, with the rotor, type and severity known now if they belong to the latest episode."""
-        episode, it, found = state.episode, state.decided, list[Event]()
+        episode, it, found = state.episode, state.diagnosis, list[Event]()
         for alarm in alarms:
             slot, end_ns = self.slots[alarm.slot], None if alarm.end_ns < 0 else alarm.end_ns
             event = Event(*slot.key, alarm.start_ns, end_ns, alarm.statistic, slot.threshold, alarm.level)
@@ -207,14 +177,14 @@ class DecisionSpec:
         return tuple(found)
 
     def _left_alone(self, state: DecisionState) -> tuple[Height, ...]:
-        held, episode = state.decided, state.episode
+        held, episode = state.diagnosis, state.episode
         if held.stage is Stage.FAULT and not held.seen and (not episode or episode.graded >= len(self.known)):
             return LEFT_ALONE[Stage.INSPECT]  # like it, a fault that is not seen waits for a ratio above 1
         return LEFT_ALONE[held.stage]
 
     def _decide(self, state: DecisionState, fresh: list[Reading], t_ns: int) -> tuple[DecisionState, bool]:
         """Look the transition up, and see whether the rotor can be named; True if anything changed."""
-        held = state.decided
+        held = state.diagnosis
         if held.rotors:
             fresh = [one._replace(ratio=0.0) if one.rotors and _falls(one, held) else one for one in fresh]
         state, height = _height_now(state, fresh, t_ns)
@@ -224,17 +194,17 @@ class DecisionSpec:
             now = replace(held, stage=stage, reason=reason, since_ns=t_ns)
         if stage is not Stage.FAULT:
             now, news = _suspected_rotor(now, fresh, height)
-            return state.deciding(now, _leading(now, fresh, state.lead)), changed or news
+            return replace(state, diagnosis=_led(now, fresh)), changed or news
         if height is Height.OVER and not held.seen:
             why = "the fault is seen again" if held.stage is stage else reason
             declared_ns = t_ns if held.declared_ns is None else held.declared_ns
             now = Diagnosis(stage, why, now.since_ns, declared_ns=declared_ns, seen=True, rotors=held.rotors)
-            changed, state = True, replace(state, episode=Episode(t_ns, Gathered(t_ns), held.rotors), lead=Lead())
+            changed, state = True, replace(state, episode=Episode(t_ns, Gathered(t_ns), held.rotors))
         if state.episode is None or not now.seen:
             return state, changed
         episode, after = self._episode(state.episode, now, fresh, t_ns)
         news = after.seen is not now.seen or after.kind is not now.kind or after.rotor != now.rotor
-        return state.deciding(after, _leading(after, fresh, state.lead), episode), changed or news
+        return replace(state, diagnosis=_led(after, fresh), episode=episode), changed or news
 
     def _episode(
         self, episode: Episode, now: Diagnosis, fresh: Sequence[Reading], t_ns: int
@@ -264,7 +234,7 @@ class DecisionSpec:
         return episode, now
 
     def _grade(self, state: DecisionState, sums: FloatArray, t_ns: int) -> tuple[DecisionState, bool]:
-        episode, now = state.episode, state.decided
+        episode, now = state.episode, state.diagnosis
         if episode is None or episode.graded >= len(self.known) or now.kind is not FaultKind.PROPELLER:
             return state, False
         gathered, known = episode.gathered, self.known[episode.graded]
@@ -274,11 +244,14 @@ class DecisionSpec:
         episode = replace(episode, gathered=gathered)
         if t_ns - gathered.since_ns < known.after_s * NS_PER_S:
             return replace(state, episode=episode), False
+        if now.seen and Feature.MOTION not in gathered.sums:  # without it nothing is named: it is gathered anew
+            return replace(state, episode=replace(episode, gathered=Gathered(t_ns))), False
         found = assess(gathered.features(now.rotor), known)
         after = replace(now, fault_type=found.fault_type, severity=found.severity)
         news = after != now
-        after = replace(after, reason="the kind of fault is named") if news else after
-        return state.deciding(after, None, replace(episode, graded=episode.graded + 1)), news
+        why = "the kind of fault is named" if found.fault_type else "the kind of fault is no longer certain"
+        after = replace(after, reason=why) if news else after
+        return replace(state, diagnosis=after, episode=replace(episode, graded=episode.graded + 1)), news
 
 
 def height_of(ratio: float, slot: Slot) -> Height:
@@ -290,12 +263,12 @@ def height_of(ratio: float, slot: Slot) -> Height:
     return Height.HELD if slot.decides and ratio >= CALM_BELOW else Height.CALM
 
 
-def landed(held: Diagnosis, t_ns: int) -> Diagnosis:
-    """What is held once a flight has ended: an open inspection, or nothing."""
+def landed(held: Diagnosis, t_ns: int, why: str = "not flying") -> Diagnosis:
+    """What is held once a flight has ended: an open inspection, or nothing, and why."""
     if held.stage is Stage.INSPECT:
         return held
     if held.stage is not Stage.FAULT:
-        return Diagnosis(reason="not flying", since_ns=t_ns)
+        return Diagnosis(reason=why, since_ns=t_ns)
     reason, spans = "the flight with the fault has ended", _ended(held.rotors, t_ns)
     return replace(held, stage=Stage.INSPECT, reason=reason, since_ns=t_ns, seen=False, rotors=spans)
 
@@ -341,7 +314,7 @@ def _since(state: DecisionState, height: Height | int, t_ns: int) -> DecisionSta
     raised, over = now_ns[1] if height >= Height.RAISED else None, now_ns[2] if height == Height.OVER else None
     if (calm, raised, over) == (state.calm_ns, state.raised_ns, state.over_ns):
         return state
-    return DecisionState(state.decided, calm, raised, over, state.episode, state.lead)
+    return DecisionState(state.diagnosis, calm, raised, over, state.episode)
 
 
 def _height_now(state: DecisionState, fresh: Sequence[Reading], t_ns: int) -> tuple[DecisionState, Height]:
@@ -352,7 +325,7 @@ def _height_now(state: DecisionState, fresh: Sequence[Reading], t_ns: int) -> tu
     if state.calm_ns is not None and t_ns - state.calm_ns >= CLEAR_NS:
         return state, Height.SETTLED
     over_ns = max((one.at_ns for one, own in zip(fresh, heights, strict=True) if own is Height.OVER), default=t_ns)
-    if state.over_ns is not None and min(t_ns, over_ns) - state.over_ns < DOUBT_NS and not state.decided.seen:
+    if state.over_ns is not None and min(t_ns, over_ns) - state.over_ns < DOUBT_NS and not state.diagnosis.seen:
         kind = grown(None, fresh, 0)
         checked = any(one.slot.monitor.kind is FaultKind.SENSOR for one in fresh)  # without these nothing is waited for
         doubtful = checked and kind is FaultKind.PROPELLER and named(kind, fresh, False).rotor is None
@@ -363,19 +336,27 @@ def _height_now(state: DecisionState, fresh: Sequence[Reading], t_ns: int) -> tu
     return state, height
 
 
-def _leading(it: Diagnosis, fresh: Sequence[Reading], known: Lead | None) -> Lead | None:
-    """The present evidence of the highest ratio; a fault keeps (None) the latest that was above.
+def _led(it: Diagnosis, fresh: Sequence[Reading]) -> Diagnosis:
+    """With the present evidence of the highest ratio; a fault keeps the latest that was above.
 
-    A trim that shows another rotor than the named one is no evidence of it, unless there was none (known).
+    A trim that shows another rotor than the named one is no evidence of it, unless there was none.
     """
     if it.stage in (Stage.FAULT, Stage.INSPECT):
         over = [one for one in fresh if it.seen and one.ratio > 1.0 and one.slot.decides]
-        none = known is None or known.slot is None
-        fresh = [one for one in over if _speaks(one, it)] or (over if none else [])
+        fresh = [one for one in over if _speaks(one, it)] or (over if it.monitor is None else [])
         if not fresh:
-            return None
+            return it
     best = max(fresh, key=lambda one: (height_of(one.ratio, one.slot), one.slot.decides, one.ratio), default=None)
-    return Lead() if best is None else Lead(best.slot, best.ratio, best.value)
+    return _shown_by(it, best)
+
+
+def _shown_by(it: Diagnosis, best: Reading | None) -> Diagnosis:
+    """With the evidence of a reading, or without any."""
+    if best is None:
+        return replace(it, monitor=None, axis=None, unit="", statistic=NAN, threshold=NAN)
+    (name, axis), unit, threshold = best.slot.key, best.slot.monitor.unit, best.slot.threshold
+    evidence = max(best.value, best.ratio * threshold)
+    return replace(it, monitor=name, axis=axis, unit=unit, statistic=evidence, threshold=threshold)
 
 
 def _speaks(reading: Reading, it: Diagnosis) -> bool:

@@ -1,7 +1,9 @@
 """What is held of a vehicle (the stage, the evidence, what is known of the fault), and the alarms of its monitors."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from enum import StrEnum
+from itertools import pairwise
 
 from mavdiag.monitors.base import FaultKind
 from mavdiag.telemetry import Axis
@@ -87,6 +89,23 @@ class Change(Diagnosis):
         return f"{self.t_ns / NS_PER_S:.2f} s {self.title}: {self.reason}{evidence}{where}"
 
 
+def above(value: float, threshold: float) -> str:
+    """A value and the threshold that it is above, in as many digits as tell them apart."""
+    places = 3
+    while places < 9 and f"{value:.{places}g}" == f"{threshold:.{places}g}" != "0":
+        places += 1
+    return f"{value:.{places}g} > {threshold:.{places}g}"
+
+
+def graded(changes: Sequence[Change]) -> Change | None:
+    """The change that named the type of a fault last; None if that was withdrawn while the same fault was seen."""
+    found = None
+    for before, change in pairwise(changes):
+        if change.fault_type is not None or (before.fault_type is not None and before.seen):
+            found = change
+    return None if found is None or found.fault_type is None else found
+
+
 @dataclass(frozen=True, slots=True)
 class Event:
     """One alarm of one monitor. Times are of the vehicle's clock.
@@ -126,4 +145,4 @@ class Event:
         axis = f" {self.axis}" if self.axis is not None else ""
         end = "" if self.end_s is None else f" to {self.end_s:.2f} s"
         where = "" if self.rotor is None else f", rotor {self.rotor}"
-        return f"{self.monitor}{axis} {self.statistic:.3g} > {self.threshold:.3g} from {self.t_s:.2f} s{end}{where}"
+        return f"{self.monitor}{axis} {above(self.statistic, self.threshold)} from {self.t_s:.2f} s{end}{where}"

@@ -7,7 +7,8 @@
 Each fault (T 3.2, 5.5.2-5.5.3) is a Gaussian in x = (ln U, ln A, 100 a) with its own mean and covariance, shrunk
 towards their mean (quadratic discriminant analysis; Friedman, J. Am. Stat. Assoc. 84 (1989), Eq 16). They were trained
 on the emulator (`benchmarks/train_fault_types.py`): a hint for the mechanic, no measurement. A feature that is missing
-is left out of all of them; what lies too far from every fault gets no name, and none is given on another kind of link.
+is left out of all of them, but without motion all are gathered anew; what lies too far from every fault gets no name,
+and none is given on another kind of link.
 """
 
 import json

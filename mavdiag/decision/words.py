@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from mavdiag.airframe.trim import loss_of
-from mavdiag.decision.diagnosis import Change, Diagnosis, Event, Stage
+from mavdiag.decision.diagnosis import Change, Diagnosis, Event, Stage, above, graded
 from mavdiag.monitors import BY_NAME, MONITORS, by_name
 from mavdiag.monitors.base import FaultKind
 from mavdiag.printable import counted
@@ -38,8 +38,8 @@ def finding_words(finding: Diagnosis, most: int = 80) -> str:
 
     What does not fit is left out: the type of the fault first, then that the rotor is unknown.
     """
-    graded = finding.fault_type or "" if finding.stage is Stage.FAULT else ""
-    graded += f"/SV{finding.severity}" if graded and finding.severity is not None else ""
+    typed = finding.fault_type or "" if finding.stage is Stage.FAULT else ""
+    typed += f"/SV{finding.severity}" if typed and finding.severity is not None else ""
     monitor = BY_NAME.get(finding.monitor or "")
     template, phrase, whose = "" if monitor is None else monitor.phrase, "", ""
     if math.isfinite(finding.statistic) and finding.threshold > 0:
@@ -53,7 +53,7 @@ def finding_words(finding: Diagnosis, most: int = 80) -> str:
         whose = f"{finding.axis} "
     elif finding.kind in (None, FaultKind.PROPELLER) and phrase != template:  # it tells of what a rotor does
         whose = "rotor unknown: "
-    told = (whose + ", ".join(part for part in (phrase, graded) if part), whose + phrase, phrase or whose)
+    told = (whose + ", ".join(part for part in (phrase, typed) if part), whose + phrase, phrase or whose)
     return next((text.strip() for text in told if len(text.strip()) <= most), told[-1].strip()[:most])
 
 
@@ -75,7 +75,7 @@ def diagnosis_line(held: Diagnosis) -> str:
     if held.stage not in (Stage.FAULT, Stage.SUSPECTED) or held.monitor is None:
         return str(held)
     unit = f" {held.unit}" if held.unit else ""
-    return f"{held} ({held.monitor} {held.statistic:.3g} > {held.threshold:.3g}{unit})"
+    return f"{held} ({held.monitor} {held.statistic:.3g} of {held.threshold:.3g}{unit})"
 
 
 def inspect_words(rotor: int | None) -> str:
@@ -83,27 +83,26 @@ def inspect_words(rotor: int | None) -> str:
     return "" if rotor is None else f"inspect motor {rotor} before the next flight"
 
 
-def fault_reason(kind: FaultKind | None, faults: Sequence[Change], events: Sequence[Event]) -> str:
+def fault_reason(kind: FaultKind | None, changes: Sequence[Change], events: Sequence[Event]) -> str:
     """Why a fault was declared: the highest evidence, every rotor that was named, and the type that was named last.
 
-    kind: the gravest of the faults, which the reason is about. events: all alarms of the flight.
+    kind: the gravest of the faults, which the reason is about. changes, events: all of the flight.
     """
-    spans, faults = faults[-1].rotors, [change for change in faults if change.kind is kind]
+    declared = [change for change in changes if change.stage is Stage.FAULT]
+    spans, faults = declared[-1].rotors, [change for change in declared if change.kind is kind]
     worst = max(faults, key=lambda change: change.statistic / change.threshold if change.threshold else 0.0)
     same = (event.statistic for event in events if (event.monitor, event.axis) == (worst.monitor, worst.axis))
-    statistic, places = max(same, default=worst.statistic), 3
-    while places < 9 and f"{statistic:.{places}g}" == f"{worst.threshold:.{places}g}" != "0":
-        places += 1
     rotor = f"; rotor {spans[0].rotor}" if len(spans) == 1 else ""
     if len(spans) > 1:
         named = (f"rotor {span.rotor} from {span.since_ns / NS_PER_S:.1f} s" for span in spans[:MOTORS_MOST])
         rotor = f"; {', '.join(named)}" + (f" and {len(spans) - MOTORS_MOST} more" * (len(spans) > MOTORS_MOST))
-    graded = next((f"; {change.fault_type}" for change in reversed(faults) if change.fault_type is not None), "")
+    typed = graded(changes)
     axis = f" on {worst.axis}" if worst.axis is not None else ""
-    evidence = f"{worst.monitor}{axis} {statistic:.{places}g} > {worst.threshold:.{places}g}"
+    evidence = f"{worst.monitor}{axis} {above(max(same, default=worst.statistic), worst.threshold)}"
     doubt = f"; {text}" if (text := _doubt(events)) else ""
     what = "" if kind in (None, FaultKind.PROPELLER) else f"{kind}: "
-    return f"{what}{evidence}{rotor}{graded}{doubt}, {counted(len(events), 'alarm')}"
+    likeness = "" if typed is None else f"; {typed.fault_type}"
+    return f"{what}{evidence}{rotor}{likeness}{doubt}, {counted(len(events), 'alarm')}"
 
 
 def headline(verdict: "LogVerdict") -> str:
@@ -115,14 +114,13 @@ def headline(verdict: "LogVerdict") -> str:
             "healthy": "No fault was found.",
             "suspected": "A fault is suspected, none was declared.",
         }[verdict.verdict]
-    kind, graded = verdict.kind or FaultKind.PROPELLER, ""
+    kind, typed, more = verdict.kind or FaultKind.PROPELLER, graded(verdict.changes), ""
     where = _place(kind, None if verdict.rotor is None else _rotors(verdict))
-    for change in verdict.changes:  # the type that was named last
-        if kind is FaultKind.PROPELLER is change.kind and change.stage is Stage.FAULT and change.fault_type is not None:
-            graded = _likeness(change)
+    if kind is FaultKind.PROPELLER and typed is not None:
+        more = _likeness(typed)
     if kind is FaultKind.SENSOR and verdict.rotor is not None:  # a rotor is named of no sensor fault
-        graded = f", and a {FaultKind.PROPELLER} of {_rotors(verdict)}"
-    return f"A {kind}{where} was found{graded}."
+        more = f", and a {FaultKind.PROPELLER} of {_rotors(verdict)}"
+    return f"A {kind}{where} was found{more}."
 
 
 def rotors_of(verdict: "LogVerdict") -> tuple[int, ...]:
@@ -152,9 +150,9 @@ def held_sentence(held: Diagnosis) -> str:
     unknown = ", rotor unknown" if held.rotor is None and kind is FaultKind.PROPELLER else ""
     if held.stage is Stage.SUSPECTED:
         return f"A {kind}{_place(kind, motor)} is suspected, not declared{unknown}{evidence}."
-    graded = _likeness(held) if kind is FaultKind.PROPELLER and held.fault_type is not None else ""
+    typed = _likeness(held) if kind is FaultKind.PROPELLER and held.fault_type is not None else ""
     calm = "" if held.seen else " It is not seen at this moment, which does not mean that it is gone."
-    return f"A {kind}{_place(kind, motor)} was found{unknown}{graded}{evidence}.{calm}"
+    return f"A {kind}{_place(kind, motor)} was found{unknown}{typed}{evidence}.{calm}"
 
 
 def held_advice(held: Diagnosis) -> str:

@@ -13,10 +13,10 @@ from scipy.stats import multivariate_normal
 from mavdiag.airframe.layout import Motor, layout_named
 from mavdiag.airframe.propellers import FaultType
 from mavdiag.decision.alarm import LEFT_ALONE, NEXT, DecisionSpec, DecisionState
-from mavdiag.decision.diagnosis import Change, Event, Stage
+from mavdiag.decision.diagnosis import Change, Diagnosis, Event, Stage, graded
 from mavdiag.decision.grading import Assessment, FaultTypes, Gathered, assess, known_fault_types
 from mavdiag.decision.kinds import Reading, grown, isolate, named
-from mavdiag.decision.words import fault_reason
+from mavdiag.decision.words import diagnosis_line, fault_reason
 from mavdiag.kernel import EVIDENCE, LAST_LEVEL, LOOK_NS, Alarm, Height, Looked
 from mavdiag.monitors import MONITORS
 from mavdiag.monitors.base import FaultKind, Feature, RotorEvidence
@@ -67,13 +67,12 @@ def stages(changes: tuple[Change, ...]) -> list[Stage]:
 
 
 def test_one_monitor_above_its_threshold_is_a_fault_and_names_the_rotor() -> None:
-    state, events, changes = decided(values(profile((3, 0.3), (3, 2.1)), rotor=2), values(profile((6, 1.0)), None))
+    _, events, changes = decided(values(profile((3, 0.3), (3, 2.1)), rotor=2), values(profile((6, 1.0)), None))
     assert stages(changes) == [Stage.QUIET, Stage.FAULT]
     fault = changes[1]
     assert (fault.monitor, fault.statistic, fault.threshold, fault.rotor) == ("unbalance", 2.1, 0.5, 2)
     assert fault.t_ns == 38 * LOOK_NS
     assert [(e.monitor, e.start_ns, e.end_ns, e.rotor) for e in events] == [("unbalance", 3 * NS_PER_S, None, 2)]
-    assert state.diagnosis.stage is Stage.FAULT
     _, _, changes = decided(NOTHING, values(profile((3, 1.0), (3, 6.0))))
     assert changes[1].t_ns == 39 * LOOK_NS  # when the value is known
 
@@ -83,6 +82,8 @@ def test_coming_near_is_suspected_with_its_rotor_and_goes_away_after_two_calm_se
     assert changes[2].t_ns == pytest.approx(7 * NS_PER_S, abs=2 * LOOK_NS)
     told = [(one.stage, one.rotor) for one in changes]
     assert (told, events) == ([(Stage.QUIET, None), (Stage.SUSPECTED, 1), (Stage.QUIET, None)], ())
+    near = Diagnosis(Stage.SUSPECTED, "near", monitor="unbalance", statistic=0.42, threshold=0.5)
+    assert diagnosis_line(near) == "suspected: near (unbalance 0.42 of 0.5)"
 
 
 @pytest.mark.parametrize(("memory_s", "raised_s", "suspected"), [(1.3, 0.6, False), (1.3, 0.9, True), (3.0, 0.2, True)])
@@ -127,9 +128,9 @@ def test_u2_every_rotor_is_named_with_its_span_and_its_own_figure() -> None:
     named = [(one.rotor, one.statistic) for one in changes if one.stage is Stage.FAULT and one.seen]
     assert named == [(1, 1.0), (4, 2.0), (1, 1.5)]  # H12: the first motor had the figure of the second
     assert ([one.rotor for one in events], state.diagnosis.declared_ns) == ([1, 1, 4, 4, 1, 1], 2.32 * NS_PER_S)
-    told = fault_reason(FaultKind.PROPELLER, [change for change in changes if change.stage is Stage.FAULT], events)
+    told = fault_reason(FaultKind.PROPELLER, changes, events)
     assert "; rotor 1 from 2.3 s, rotor 4 from 22.3 s, rotor 1 from 42.3 s" in told
-    assert " from 2.32 s" in str(events[0])
+    assert str(replace(events[0], statistic=0.5004)) == "unbalance 0.5004 > 0.5 from 2.32 s, rotor 1"
 
 
 def test_a_name_that_was_wrong_at_first_is_replaced() -> None:
@@ -203,6 +204,8 @@ def test_b3_the_end_of_a_flight_closes_its_events_and_forgets_them() -> None:
     assert [one.end_ns for one in opened] == [None]
     after, _, changes = SPEC.end_segment(state, Looked(), (), 4 * NS_PER_S, flies=True)  # the data broke off
     assert (after.diagnosis, after.episode, changes) == (state.diagnosis, state.episode, ())
+    (broken,) = SPEC.end_segment(decided(values(profile((2, 0.3))))[0], Looked(), (), 4 * NS_PER_S, flies=True)[2]
+    assert (broken.stage, broken.reason) == (Stage.NOT_JUDGED, "the data broke off")
     open_ = Alarm(0, 0, 2 * NS_PER_S, round(3.98 * NS_PER_S), 2.0, 2.0)
     state, closed, changes = SPEC.end_segment(state, Looked(), [open_], 4 * NS_PER_S)
     assert [(one.start_ns, one.end_ns, one.rotor) for one in closed] == [(2 * NS_PER_S, open_.end_ns, 4)]
@@ -253,17 +256,20 @@ def test_type_and_severity_are_named_when_known_and_not_without_a_classifier() -
         named = [one for one in changes if one.fault_type is not None]
         assert bool(named) == bool(types)
     assert named[0].reason == "the kind of fault is named"
+    late = statistic(profile((3.6, 5.0)), rotors=at(2), first_s=10.4)  # nothing was judged when it was to be named
+    late.level[:] = a
+    assert decide(DecisionSpec((SHAKING, MOVING), known), (shaking, late))[0].diagnosis.fault_type == "F2"
+    withdrawn, over = replace(named[-1], fault_type=None), replace(named[-1], seen=False)
+    assert (graded((*changes, withdrawn)), graded((*changes, over, withdrawn))) == (None, over)
 
 
 def test_the_table_has_one_way_into_a_fault_and_no_height_ends_it() -> None:
-    for (came, height), (stage, reason) in NEXT.items():
+    for (came, height), (stage, _) in NEXT.items():
         assert stage is not came
-        assert reason
         assert (stage is Stage.FAULT, stage is Stage.NOT_JUDGED) == (height is Height.OVER, height is Height.UNKNOWN)
         assert came is not Stage.FAULT
         assert came is not Stage.INSPECT or stage is Stage.FAULT
     assert {came for came, height in NEXT if height is Height.OVER} == set(Stage) - {Stage.FAULT}
-    assert (Stage.QUIET, Height.HELD) not in NEXT
     assert all((stage, height) not in NEXT for stage, heights in LEFT_ALONE.items() for height in heights)
 
 
