@@ -334,7 +334,7 @@ def test_a_row_says_what_the_verdict_says(answers: list[Answer]) -> None:
     assert (error["verdict"], error["reason"], error["sha256"]) == ("error", "no such file", None)
     last = replace(answers[1].record.windows[-1], from_s=1.7e9 + 15, to_s=1.7e9 + 20)  # by the unix clock of a CSV
     record = replace(answers[1].record, windows=(last,))
-    assert "  1700000015 to 1700000020 s: fault" in _lines(replace(answers[1], record=record))
+    assert "  1700000015 to 1700000020 s: fault" in _lines(replace(answers[1], record=record))[-1]
 
 
 def test_csv_and_parquet_hold_the_same(answers: list[Answer], tmp_path: Path) -> None:
