@@ -33,7 +33,6 @@ from mavdiag.chain import warm
 from mavdiag.inspections import Inspections
 from mavdiag.link.keys import open_signing
 from mavdiag.link.ports import open_endpoint
-from mavdiag.printable import printable
 from mavdiag.storage import COLLECT_AT
 from mavdiag.telemetry import Instant
 
@@ -89,7 +88,7 @@ def detect(
         from detector.check import plan
 
         settings = load_settings(config, given, os.environ)
-        commandline.say("\n".join(plan(settings, *_baselines(settings), _airframe(settings))))
+        commandline.say(*plan(settings, *_baselines(settings), _airframe(settings)))
     else:
         _serve(load_settings(config, given, os.environ), reset_stamp=reset_stamp)
 
@@ -207,7 +206,7 @@ def _say(text: str) -> None:
     """One log line on stderr, with the local time. A closed or full stderr must not stop the watch."""
     stamp = "" if text.startswith("ready") else f"{datetime.now().astimezone():%H:%M:%S} "
     with contextlib.suppress(OSError):
-        commandline.say(stamp + printable(text), err=True)
+        commandline.say(stamp + text, err=True)
 
 
 def main() -> NoReturn:

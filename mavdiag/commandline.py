@@ -112,7 +112,7 @@ def run(app: typer.Typer, name: str) -> NoReturn:
     except typer.TyperException as error:
         code, message = ERROR, error.format_message()
         if message.startswith("Usage:"):  # called without arguments, the help itself is the message
-            say(message, err=True)
+            say(*message.split("\n"), err=True)
         else:
             context = getattr(error, "ctx", None)  # of the sub-command whose options or arguments are wrong
             told = f"{_line(message)}; see `{context.command_path if context else name} --help`"
@@ -167,9 +167,9 @@ def own_environ() -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": path, "PYTHONSAFEPATH": "1"}
 
 
-def say(text: str, *, err: bool = False) -> None:
-    """Print lines, with what could steer a terminal as its escape. err: to stderr."""
-    typer.echo(printable(text, keep="\n"), err=err)
+def say(*lines: str, err: bool = False) -> None:
+    """Print lines; what could steer a terminal, or break one of them, is its escape. err: to stderr."""
+    typer.echo("\n".join(map(printable, lines)), err=err)
 
 
 def _silence(stream: TextIO) -> None:

@@ -5,19 +5,15 @@ import unicodedata
 _STEERING = {"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"}  # controls, directions, surrogates, unassigned, line ends
 
 
-def printable(text: str, keep: str = "") -> str:
+def printable(text: str) -> str:
     r"""The text with every character that could move the cursor, colour, reorder or break a line as its escape.
-
-    keep: characters that are left as they are.
 
     >>> printable("\x1b[31mred\nnext line")
     '\\x1b[31mred\\nnext line'
     """
     if text.isascii() and text.isprintable():
         return text
-    return "".join(
-        repr(one)[1:-1] if unicodedata.category(one) in _STEERING and one not in keep else one for one in text
-    )
+    return "".join(repr(one)[1:-1] if unicodedata.category(one) in _STEERING else one for one in text)
 
 
 def counted(count: int, noun: str) -> str:

@@ -90,7 +90,7 @@ def run_all(
         for task in tasks:
             result = known(task)
             if result is not None or workers == 1:
-                yield task, _done(function(task) if result is None else result)
+                yield task, _here(function, task, result)
                 continue
             if executor is not None:
                 yield from ended(executor.in_flight - 1)
@@ -101,9 +101,12 @@ def run_all(
         yield from ended(0)
 
 
-def _done(result: Result) -> Future[Result]:
+def _here(function: Callable[[Task], Result], task: Task, known: Result | None) -> Future[Result]:
     future = Future[Result]()
-    future.set_result(result)
+    try:
+        future.set_result(function(task) if known is None else known)
+    except MemoryError as error:  # the next one may need less
+        future.set_exception(error)
     return future
 
 

@@ -178,7 +178,7 @@ def _print(overview: Overview, *, as_json: bool) -> None:
     if as_json:
         return say(json.dumps(shown.overview_json(overview)))
     if not sys.stdout.isatty():
-        return say("\n".join(line.text for line in shown.lines_of(overview)))
+        return say(*(line.text for line in shown.lines_of(overview)))
     from rich.console import Console
     from rich.text import Text
 

@@ -88,11 +88,12 @@ def identify(
         accepted(baseline, "--accept")
     baseline.save(output)
     if details:
-        return say(f"{baseline}\nwritten to {output}")
+        return say(*str(baseline).split("\n"), f"written to {output}")
     if baseline.layout_doubt:
         say(baseline.layout_doubt, err=True)
     count, hours = counted(len(baseline.provenance.logs), "flight"), baseline.healthy_hours
-    return say(f"written to {output}, from {count} of {60 * hours:.1f} min in all\n{baseline.conclusion}")
+    written = f"written to {output}, from {count} of {60 * hours:.1f} min in all"
+    return say(written, *baseline.conclusion.split("\n"))
 
 
 def make_baseline(
@@ -142,14 +143,14 @@ File = Annotated[Path, Argument(help="Baseline made by `mavdiag identify`.")]
 @app.command()
 def show(file: File) -> None:
     """Print what a baseline says: whose it is, its thresholds with what supports them, and what cannot be judged."""
-    say(str(Baseline.load(file)))
+    say(*str(Baseline.load(file)).split("\n"))
 
 
 @app.command()
 def check(file: File) -> None:
     """Validate a baseline: schema, every field, digest. Exit code 0 if it is sound, else 2."""
     baseline = Baseline.load(file)
-    say(f"{file}: sound, {baseline.digest}\n{baseline.promises}")
+    say(f"{file}: sound, {baseline.digest}", baseline.promises)
 
 
 @app.command()
@@ -172,4 +173,4 @@ def extend(
     if not accept:
         accepted(longer, "--accept")
     longer.save(output)
-    say(f"{longer}\nwritten to {output}")
+    say(*str(longer).split("\n"), f"written to {output}")

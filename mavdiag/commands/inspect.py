@@ -83,7 +83,7 @@ def inspect(
             asked = ask_for_all(link, vehicle or COMPANION_OF) if ask else ()
             log, rates_hz = hear(link, LISTENED_S if duration is None else duration)
             found = inspection_of(log, told, live[0], judged_by, link.count, rates_hz, asked)
-        return say(json_line(found) if as_json else in_full(found))
+        return say(*([json_line(found)] if as_json else in_full(found)))
     named, mapped = opt.find_logs(sources, columns)
     alone, failed = len(named.logs) == 1, False
     as_table, table = sys.stdout.isatty() and not alone and not as_json, list[Inspection | dict[str, str]]()
@@ -95,16 +95,16 @@ def inspect(
             log = read_part(source.path, vehicle, from_s, to_s, mapped, profile)
             counted = _counted(source.path, vehicle) if alone and log.profile in PROFILES else (None, {})
             shown = found = inspection_of(log, told, log.name, judged_by, *counted)
-            text = in_full(found) if alone else in_one_line(found)
+            lines = in_full(found) if alone else [in_one_line(found)]
         except InputError as error:
             failed, said = True, str(error).removeprefix(f"{source.path}: ")
             if alone and not as_json:
                 raise InputError(f"{source.path}: {said}") from error
-            shown, text = {"log": str(source.path), "error": said}, f"{source.path}: error, {said}"
+            shown, lines = {"log": str(source.path), "error": said}, [f"{source.path}: error, {said}"]
         if as_table:
             table.append(shown)
         else:
-            say(json_line(shown) if as_json else text)
+            say(*([json_line(shown)] if as_json else lines))
     if as_table:
         from mavdiag.terminal.tables import look_table  # rich takes time to load
 

@@ -47,12 +47,12 @@ class Shown:
             self._next_s = elapsed_s + LINE_S
             say(f"{self._text}: {words}", err=True)
 
-    def say(self, text: str, *, err: bool = False) -> None:
+    def say(self, *lines: str, err: bool = False) -> None:
         """Print lines, without the bar if they are for the same terminal."""
         if self._bar is None or not (err or sys.stdout.isatty()):
-            return say(text, err=err)
+            return say(*lines, err=err)
         self._bar.stop()
-        say(text, err=err)
+        say(*lines, err=err)
         return self._bar.start()
 
 

@@ -61,7 +61,7 @@ def report(
         more = f"; nor could {len(reports) - 1} others be read" if len(reports) > 1 else ""
         raise InputError(f"{verdicts[0].log}: {verdicts[0].reason}{more}")
     write_atomically(output, page.flights_page(reports, reference, str(baseline), now()))
-    return say("\n".join([*(f"{verdict.log}: {verdict.verdict}" for verdict in verdicts), f"written to {output}"]))
+    return say(*(f"{verdict.log}: {verdict.verdict}" for verdict in verdicts), f"written to {output}")
 
 
 def write_report(log: Log, baseline: Baseline, baseline_path: Path, output: Path) -> LogVerdict:

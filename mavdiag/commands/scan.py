@@ -79,7 +79,7 @@ def scan(
     with how as (answers, tell):
         for answer in answers:
             if not as_table:
-                tell(_json_line(answer) if as_json else _lines(answer))
+                tell(*([_json_line(answer)] if as_json else _lines(answer)))
             verdicts.append(answer.record.verdict.verdict)
             rows += rows_of(answer) if csv or parquet or as_table else ()
             before, copies = before + answer.known, copies + answer.copy
@@ -113,7 +113,7 @@ def judging(
     *,
     no_cache: bool,
     quiet: bool = False,
-) -> Iterator[tuple[Iterator[Answer], Callable[[str], None]]]:
+) -> Iterator[tuple[Iterator[Answer], Callable[..., None]]]:
     """The answers in order, and what prints lines beside the progress. quiet: no progress where no terminal is."""
     sizes = sizes_of(logs)
     with shown("judged", sizes, quiet=quiet) as progress:
@@ -140,10 +140,10 @@ def _json_line(answer: Answer) -> str:
     return json.dumps(told)
 
 
-def _lines(answer: Answer) -> str:
+def _lines(answer: Answer) -> list[str]:
     lines = [str(answer.verdict)]
     for window in answer.record.windows:
         nearest = "" if window.ratio is None else f", {window.monitor} at {window.ratio:.2f} of its threshold"
         judged = f"judged {window.judged_s:.1f} s of {window.flown_s:.1f} s"
         lines.append(f"  {window.from_s:.10g} to {window.to_s:.10g} s: {window.verdict}, {judged}{nearest}")
-    return "\n".join(lines)
+    return lines

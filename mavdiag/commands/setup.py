@@ -105,7 +105,7 @@ def setup(
     if not kept:
         write_atomically(config, settings)
     told = " is kept as it is; for what this run would write, remove it and run this again" * kept
-    say(f"{baseline}\nwritten to {baseline_file}, and for the detector {config}{told}:")
+    say(*str(baseline).split("\n"), f"written to {baseline_file}, and for the detector {config}{told}:")
     check = [sys.executable, "-m", "detector", "--config", str(config), "--check"]
     if subprocess.run(check, env=own_environ(), check=False).returncode:
         raise UsageError(f"the detector refuses {config}; see above")
@@ -133,7 +133,7 @@ def _look(link: Link, told: Airframe, vehicle: int) -> Log:
     profile = PROFILES[log.profile]
     types, autopilots = ({one.value: one.name.lower() for one in kind} for kind in (MavType, Autopilot))
     kind = types.get(log.mav_type or 0, f"MAV_TYPE {log.mav_type}")
-    say(f"vehicle {link.vehicle}: a {kind}, its autopilot is {autopilots[profile.autopilot]}\n{in_full(found)}")
+    say(f"vehicle {link.vehicle}: a {kind}, its autopilot is {autopilots[profile.autopilot]}", *in_full(found))
     if lacking := tuple(_lacking(found, profile)):
         raise InputError(f"too little comes to learn from: {'; '.join(lacking)}; then run this again")
     return log

@@ -142,7 +142,7 @@ def open_history(database: str, *, create: bool = False, write: bool = False) ->
         raise missing_extra(shown, f"a driver ({error})", "history") from error
     except (SQLAlchemyError, ValidationError, JSONDecodeError) as error:
         line = str(getattr(error, "orig", None) or error).strip().splitlines()[0]
-        raise UsageError(f"{shown}: the history cannot be used ({line})") from error
+        raise UsageError(f"{shown}: the history cannot be used ({line}); mend that, or name another one") from error
 
 
 def address_of(database: str) -> URL:

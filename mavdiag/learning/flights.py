@@ -35,6 +35,7 @@ SHAKE_SHARE = 0.2  # of the usual noise of the gyro in flight; at rest it has a 
 SLOW_SETPOINT_PERIODS = 2.5  # a set-point stream slower than the gyro has gaps by nature (our choice)
 PIECE_ROWS = 40_000  # that are made and looked at together (our choice: 20 MB)
 IN_MEMORY = 1 << 62  # bytes
+LEAVE_OUT = ", or leave it out with --robust"  # a remedy where `learn` has that option
 KEPT_BYTES = 32 << 20  # holds the columns of 40 s at 1 kHz (our choice; the most that glibc takes)
 
 
@@ -196,7 +197,7 @@ def front_for(flights: Iterable[Log | HeldLog], window_s: float, gate: GateSpec 
     if len(profiles) != 1:
         raise InputError(f"the flights come over different links ({', '.join(profiles)}); learn from one kind")
     if (odd := odd_rate(held, window_s)) is not None:
-        raise InputError(f"{odd[1]}; learn from flights of one rate, or leave this log out with --robust")
+        raise InputError(f"{odd[1]}; learn from flights of one rate{LEAVE_OUT if len(held) > 2 else ''}")
     dt_s, grid = _common_grid(held)
     setpoint_s = float(np.median([flight.setpoint_s for flight in held if flight.setpoint_s] or [0.0]))
     align = AlignSpec(dt_s, grid, max_gap_s=max(MAX_GAP_S, SLOW_SETPOINT_PERIODS * setpoint_s))

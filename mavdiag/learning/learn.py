@@ -34,7 +34,7 @@ from mavdiag.baseline import (
     without_mute,
 )
 from mavdiag.chain import front_of, suited
-from mavdiag.errors import IdentificationError, InputError, UsageError
+from mavdiag.errors import BaselineError, IdentificationError, InputError, UsageError
 from mavdiag.identify import Method, Order
 from mavdiag.learning.flights import KEPT_BYTES, HeldLog, LearntFlight, airborne, hold, sessions_of
 from mavdiag.learning.rotors import of_log_kind, with_rotors
@@ -102,8 +102,8 @@ class LearnOptions:
             by_name(name)
         if not self.monitors:
             raise UsageError(f"no monitor named; there are {', '.join(ALL_MONITORS)}")
-        if not self.alarms_per_hour > 0:
-            raise UsageError(f"alarms per hour must be positive, not {self.alarms_per_hour:g}")
+        if not 0 < self.alarms_per_hour < math.inf:
+            raise UsageError(f"alarms per hour must be positive and finite, not {self.alarms_per_hour:g}")
         if not 1 < self.flights_per_suspicion < math.inf:
             raise UsageError(f"flights per suspicion must be a number above 1, not {self.flights_per_suspicion:g}")
         if self.sessions is not None and self.sessions < 1:
@@ -375,7 +375,10 @@ def _check(baseline: Baseline, flights: Sequence[HeldLog]) -> None:
     for flight in flights:
         if flight.label.sha256 in known:
             raise InputError(f"{flight.label.name}: is in the baseline already; leave it out")
-        check_link(baseline, profile=flight.label.profile, dt_s=flight.dt_s)
+        try:
+            check_link(baseline, profile=flight.label.profile, dt_s=flight.dt_s)
+        except BaselineError as error:
+            raise BaselineError(f"{flight.label.name}: {error}") from error
     refuse(repeated(flights))
 
 

@@ -18,6 +18,7 @@ from mavdiag.airframe.trim import LEVEL_RATIO, shown_trim
 from mavdiag.errors import InputError
 from mavdiag.learning.flights import (
     IN_MEMORY,
+    LEAVE_OUT,
     PIECE_ROWS,
     HeldLog,
     LearntFlight,
@@ -92,9 +93,8 @@ class Finding:
     def remedy(self) -> str:
         """What to do about it."""
         if self.from_s is None and self.to_s is None:
-            return "take this log out, or leave it out with --robust"
-        cut = f"cut the log before {self.from_s:.1f} s" if self.to_s is None else f"cut {self.place} out of the log"
-        return f"{cut}, or leave this part out with --robust"
+            return "take this log out"
+        return f"cut the log before {self.from_s:.1f} s" if self.to_s is None else f"cut {self.place} out of the log"
 
     def __str__(self) -> str:
         return f"{self.log}: {self.text}"
@@ -379,7 +379,7 @@ def taught(
     shelf, left_out = shelf or Shelf(IN_MEMORY), list[str]()
     held = [hold(log, shelf) for log in logs]
     while robust and len(held) > 2 and (odd := odd_rate(held, window_s)) is not None:
-        left_out.append(f"all of {odd[1]}")
+        left_out.append(odd[1])
         del held[odd[0]]
     front, outputs = front_for(held, window_s, gate), outputs_in_use(held)
 
@@ -433,8 +433,8 @@ def one_vehicle(found: Taught, layout: RotorLayout | None, *, robust: bool) -> T
     """The flights of one vehicle and set of propellers, by their trims; raises InputError as `taught` does."""
     findings = trim_groups(found.flights, layout)
     odd = {finding.number: finding for finding in findings if finding.refuses}
-    if odd and not robust:
-        raise InputError(f"{_sentence(list(odd.values()))}; or learn a type with --fleet")
+    if not robust:
+        refuse(list(odd.values()), f"{LEAVE_OUT}; or learn a type with --fleet")
     flights = tuple(flight for number, flight in enumerate(found.flights) if number not in odd)
     notes = (*found.notes, *(str(finding) for finding in findings if not finding.refuses))
     return replace(found, flights=flights, left_out=(*found.left_out, *map(str, odd.values())), notes=notes)
@@ -445,7 +445,7 @@ def _without(
 ) -> list[HeldLog]:
     """The logs without what the findings name, of which `left_out` takes a sentence each; refused unless `robust`."""
     if not robust:
-        refuse(findings)
+        refuse(findings, LEAVE_OUT)
     left_out += [f"{finding.log}, {finding.place}: {finding.text}" for finding in findings]
     kept = []
     for number, log in enumerate(logs):
@@ -457,12 +457,8 @@ def _without(
     return kept
 
 
-def refuse(findings: Sequence[Finding]) -> None:
-    """Raise InputError for what a guard found, with file, place and remedy; nothing if it found nothing."""
+def refuse(findings: Sequence[Finding], more: str = "") -> None:
+    """Raise InputError for what a guard found, with file, place, remedy and more; nothing if it found nothing."""
     if findings:
-        raise InputError(_sentence(findings))
-
-
-def _sentence(findings: Sequence[Finding]) -> str:
-    others = f" (and {counted(more, 'more such finding')})" if (more := len(findings) - 1) else ""
-    return f"{findings[0]}{others}; {findings[0].remedy}"
+        others = f" (and {counted(len(findings) - 1, 'more such finding')})" if len(findings) > 1 else ""
+        raise InputError(f"{findings[0]}{others}; {findings[0].remedy}{more}")

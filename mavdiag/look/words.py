@@ -14,11 +14,11 @@ NOTABLE = 0.05  # of the mean output: a rotor that is told in the one line of a 
 CLOSING = "this is no verdict: that takes a baseline of flights with sound propellers (mavdiag identify)"
 
 
-def in_full(found: Inspection) -> str:
+def in_full(found: Inspection) -> list[str]:
     """All about one log or link, in lines of at most 80 characters."""
     wrap = textwrap.TextWrapper(WIDTH, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False).wrap
     lines = (wrap(printable(one)) if isinstance(one, str) else map(printable, one) for one in _paragraphs(found))
-    return "\n".join(itertools.chain.from_iterable(lines))
+    return list(itertools.chain.from_iterable(lines))
 
 
 def in_one_line(found: Inspection) -> str:

@@ -55,7 +55,7 @@ from typing import Any
 
 import numpy as np
 
-from mavdiag.errors import IdentificationError, InputError, UsageError
+from mavdiag.errors import IdentificationError, InputError
 from mavdiag.telemetry import FloatArray
 from mavdiag.thresholds.heldout import BLOCK_S, Scores
 from mavdiag.units import S_PER_H
@@ -203,8 +203,7 @@ def threshold_of(
     """The threshold that scores of healthy flights allow.
 
     sessions: that each flight was flown in. budget_per_hour, flights_per_suspicion: this monitor's shares.
-    Raises UsageError for a budget that is not positive or flights that are not more than 1, IdentificationError for
-    scores that are not finite.
+    Raises IdentificationError for scores that are not finite.
 
     >>> rng = np.random.default_rng(5)
     >>> maxima = 1.0 + rng.gumbel(0.0, 0.02, 400)     # 20 flights alike, in 5 sessions, and 20 blocks of each
@@ -213,10 +212,6 @@ def threshold_of(
     >>> round(found.mean, 2), round(found.block_scale, 2), round(found.value, 1), round(found.demonstrated_per_hour, 1)
     (1.01, 0.03, 1.5, 2.7)
     """
-    if not (math.isfinite(budget_per_hour) and budget_per_hour > 0):
-        raise UsageError(f"the budget must be a positive number of alarms per hour, not {budget_per_hour}")
-    if not flights_per_suspicion > 1:
-        raise UsageError(f"a suspicion must be one of more than 1 flight, not of {flights_per_suspicion}")
     x, suspected, suspected_within = scores.maxima, 1.0, 1.0
     if len(x) == 0 or not np.isfinite(x).all():
         raise IdentificationError("healthy statistics must be finite numbers, and there must be some")

@@ -106,7 +106,7 @@ def test_an_output_at_its_end_and_a_high_vibration_are_told_in_their_share() -> 
     assert look.loads[1].full_share == pytest.approx(span_s / 2 / look.flight_s, abs=0.01)
     assert look.vibration is not None
     assert look.vibration.above_high == pytest.approx((span_s / 4 - left_out_s) / look.flight_s, abs=0.02)
-    text = in_full(look)
+    text = "\n".join(in_full(look))
     assert "where ArduPilot expects trouble" in text
     assert "2 at its upper end" in text
     assert "this is no verdict" in text  # and it never says that a vehicle is well
@@ -172,7 +172,7 @@ def test_log171_is_seen_to_tumble_with_a_motor_at_its_limit() -> None:
     path = shared("data/ardupilot_real/log171.bin")
     look = inspection_of(read_log(path), Airframe())
     assert look.upset.startswith("the flight ends in an upset, at 238.8 s: it turns at 22.")
-    text = in_full(look)
+    text = "\n".join(in_full(look))
     assert "upset: the flight ends in an upset, at 238.8 s" in text
     assert "2 at its upper end for" in text
     assert "upset" in in_one_line(look)
@@ -314,9 +314,9 @@ def coached(vehicle: "PilotedVehicle | Played", hear: Heard | None = None) -> It
     """What `setup` says to the vehicle's pilot, on the vehicle's clock. hear: is told, too."""
     lines = list[str]()
 
-    def told(text: str, **options: Any) -> None:
-        lines.append(text)
-        say(text, **options)
+    def told(*texts: str, **options: Any) -> None:
+        lines.append(text := "\n".join(texts))
+        say(*texts, **options)
         if isinstance(vehicle, PilotedVehicle):
             vehicle.pilot.hear(text)
         if hear is not None:

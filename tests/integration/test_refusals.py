@@ -74,7 +74,7 @@ REFUSED = [
     (f"{HISTORY} postgresql://me:secret@127.0.0.1:1/fleet", "Connection refused"),
     (f"{HISTORY} postgresql://me:secret@127.0.0.1:port/fleet", "postgresql"),
     ("mavdiag history add x --baseline b --at 2026-01-01 --ordered file-time", "both say when"),
-    (f"{HISTORY} /etc/passwd", "file is not a database"),
+    (f"{HISTORY} /etc/passwd", "file is not a database); mend that, or name another one"),
     (f"{HISTORY} /tmp", "/tmp: is a folder"),
     (f"{HISTORY} mysql://a@b/c", "an SQLite file or a postgresql"),
     *((f"mavdiag look {it} ''", f"an empty value behind {it}") for it in ("a.tlog", "--layout")),
