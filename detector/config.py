@@ -117,6 +117,8 @@ class Settings(SessionSettings):
         default = cls.model_fields[info.field_name or ""].default
         if value == "" and default is None:  # as a path: the present folder
             raise ValueError("is empty; name one, or leave it out")
+        if isinstance(value, bool) and cls.model_fields[info.field_name or ""].annotation is not bool:
+            raise ValueError("is a value, not true or false")
         return (value,) if isinstance(value, str) and isinstance(default, tuple) else value
 
     @model_validator(mode="after")

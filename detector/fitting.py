@@ -29,7 +29,7 @@ def fit_baseline(vehicle: int, airframe: Airframe, flight: Learn, accept: bool) 
     from mavdiag.learning import LearnOptions, learn
     from mavdiag.learning.suspicions import accepted
 
-    created = datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
+    created = datetime.now(UTC).isoformat(timespec="seconds")
     named = f"vehicle {vehicle}, live, {created}"
     log = Log(named, "", flight.profile, flight.telemetry, time.time_ns(), parameters=dict(flight.parameters))
     try:

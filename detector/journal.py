@@ -341,5 +341,5 @@ def baselines_in(folder: Path) -> dict[int | str, Baseline]:
             raise UsageError(f"{path}: name it by system id (3.json) or by uid (000000000051d205.json)")
         found[sysid or path.stem] = Baseline.load(path)
     if not found:
-        raise UsageError(f"{folder}: no baseline in it; put 3.json there for system id 3, or one named by uid")
+        raise UsageError(f"{folder}: no folder with baselines; put 3.json there for system id 3, or one named by uid")
     return found

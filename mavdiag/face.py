@@ -42,7 +42,7 @@ def read_log(path: str | Path, *, vehicle: int | None = None, profile: str | Non
     vehicle: MAVLink system id, where a file holds several. profile: link profile of a .tlog that does not show it.
     Raises InputError, in one line, if it cannot be read.
     """
-    return log_files.read_log(Path(path), vehicle, profile)
+    return log_files.read_log(_path(path), vehicle, profile)
 
 
 def learn(
@@ -63,8 +63,7 @@ def learn(
     """
     chosen = with_airframe(options or LearnOptions(), airframe, name)
     chosen = replace(chosen, robust=chosen.robust or robust)
-    sources = [flights] if isinstance(flights, Log | str | Path) else flights
-    found = (log for source in sources for log in _logs(source, vehicle))
+    found = (log for source in _each(flights) for log in _logs(source, vehicle))
     return learning.learn(found, chosen, created=now() if created is None else created)
 
 
@@ -80,7 +79,7 @@ def judge(
     judged_share: of the flown time that must be judged before a flight is called healthy, 0..1.
     Raises InputError or BaselineError if a file cannot be read; a log that cannot be judged is a verdict, with reason.
     """
-    log = flight if isinstance(flight, Log) else log_files.read_part(Path(flight), vehicle)
+    log = flight if isinstance(flight, Log) else log_files.read_part(_path(flight), vehicle)
     return judging.judge(log, _loaded(baseline), judged_share)
 
 
@@ -97,9 +96,11 @@ def scan(
     jobs: worker processes, from 1 on. With more, a script must do its work under `if __name__ == "__main__":`.
     A log that cannot be read is a verdict `error`, and loses nothing. Raises BaselineError for the baseline.
     """
-    named = logs_named([flights] if isinstance(flights, str | Path) else flights).logs
+    if jobs < 1:
+        raise UsageError(f"jobs must be 1 or more, not {jobs}")
+    named = logs_named(map(_path, _each(flights))).logs
     question = Question.of(_loaded(baseline), Options(vehicle, judged_share=judged_share))
-    return (answer.verdict for answer in archive(named, question, max(jobs, 1)))
+    return (answer.verdict for answer in archive(named, question, jobs))
 
 
 def rates(flight: Source, axis: Axis | str, window_s: float = 0.1) -> FlightRates:
@@ -133,6 +134,8 @@ class Watch:
 
         Raises BaselineError if the telemetry, after two seconds, has another rate or profile than the baseline.
         """
+        if not isinstance(telemetry, Telemetry):
+            raise UsageError(f"step takes Telemetry, as `log.telemetry`, not {type(telemetry).__name__}")
         self.output = self._chain.step(self._state, telemetry)
         if self._state.refused:
             raise BaselineError(self._state.refused)
@@ -169,14 +172,24 @@ def now() -> str:
     return datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
 
 
+def _each(sources: Source | Iterable[Source]) -> Iterable[Source]:
+    return [sources] if isinstance(sources, str) or not isinstance(sources, Iterable) else sources
+
+
 def _logs(source: Source, vehicle: int | None) -> Iterable[Log]:
     if isinstance(source, Log):
         return [source]
-    return (log_files.read_part(path, vehicle) for path in logs_named([source]).paths())
+    return (log_files.read_part(path, vehicle) for path in logs_named([_path(source)]).paths())
 
 
 def _loaded(baseline: Baseline | str | Path) -> Baseline:
-    return baseline if isinstance(baseline, Baseline) else Baseline.load(Path(baseline))
+    return baseline if isinstance(baseline, Baseline) else Baseline.load(_path(baseline))
+
+
+def _path(source: object) -> Path:
+    if isinstance(source, str | Path):
+        return Path(source)
+    raise UsageError(f"a path is needed here, not {type(source).__name__}")
 
 
 def _in_order(output: ChainOutput) -> tuple[Event | Change, ...]:

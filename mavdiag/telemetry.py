@@ -117,7 +117,7 @@ class Series:
     """One signal over a span of time, as it came: gaps, jitter and order untouched.
 
     t_ns, host_ns: (n,) clocks of the vehicle, counter wraps removed, and of the receiver or recorder [ns].
-    values: (n, k), the columns and units that `Signal` gives. Raises InputError if the lengths differ.
+    values: (n, k), the columns and units that `Signal` gives. Raises InputError if they do not fit each other.
     """
 
     signal: Signal
@@ -126,8 +126,9 @@ class Series:
     values: FloatArray
 
     def __post_init__(self) -> None:
-        if self.values.ndim != 2 or not (self.t_ns.size == self.host_ns.size == self.values.shape[0]):
-            raise InputError(f"series {self.signal}: t_ns, host_ns and values must have one row per sample")
+        lengths = {np.shape(self.t_ns), np.shape(self.host_ns), np.shape(self.values)[:1]}
+        if np.ndim(self.values) != 2 or len(lengths) > 1 or np.asarray(self.t_ns).dtype != np.int64:
+            raise InputError(f"series {self.signal}: t_ns and host_ns (n,) of int64 and values (n, k) are needed")
 
     def __len__(self) -> int:
         return len(self.t_ns)

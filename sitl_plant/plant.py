@@ -10,7 +10,6 @@ flight takes effect with the next step.
 
 import math
 from collections import deque
-from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from itertools import compress
 from typing import Literal, NamedTuple
@@ -24,7 +23,7 @@ from sitl_plant.physics.airframe import NEVER, NO_PAYLOAD, Airframe, Payload, Pi
 from sitl_plant.physics.control import Controller
 from sitl_plant.physics.faults import Injection, fault_injection, rotor_condition, sensor_condition
 from sitl_plant.physics.kernel import TOLD, Model, Recorded, Streams, fly, told_parts
-from sitl_plant.physics.parameters import STEP_S, air_of, initial_state, make_model, recorded_set, reload
+from sitl_plant.physics.parameters import STEP_S, initial_state, make_model, recorded_set, reload
 from sitl_plant.physics.trajectory import ARM_S, LIFT_S, REFERENCE, Leg, Nose, Path, Shape, follow, landing_time, path
 from sitl_plant.vehicle import Vehicle, qdrone2
 
@@ -129,8 +128,7 @@ class Change(NamedTuple):
     """One change in flight, in effect from flight time `t_ns` on; an injection from its own onset on."""
 
     t_ns: int
-    what: Injection | Literal["clear", "wind", "battery"]
-    values: Mapping[str, float]
+    what: Injection | Literal["clear"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -175,8 +173,9 @@ class Plant:
         self.rotors = rotors = len(self.airframe.vehicle.rotors)
         places = told_parts(np.arange(TOLD + 2.0 * rotors), rotors)
         self._columns = {name: slice(int(place[0]), int(place[-1]) + 1) for name, place in places.items()}
-        gusts, wind = config.gusts(), _wind(config.wind_m_s, config.wind_towards_rad)
-        turbulence = None if gusts is None else (gusts, config.wind_towards_rad)
+        gusts, towards_rad = config.gusts(), config.wind_towards_rad
+        wind = config.wind_m_s * np.array([math.cos(towards_rad), math.sin(towards_rad), 0.0])  # world NED
+        turbulence = None if gusts is None else (gusts, towards_rad)
         self._streams = Streams(config.seed, STEP_S, turbulence, config.outages_per_min)
         azimuth = self._streams.angle.uniform(0.0, 2.0 * np.pi, rotors)
         self._step, self._loaded = -SETTLING_STEPS, False
@@ -220,28 +219,12 @@ class Plant:
         """Add a cause; an onset that is past means from the next step on. Raises UsageError for one that cannot be."""
         placed = self._placed((replace(injection, onset_s=max(injection.onset_s, self._step * STEP_S)),))
         self._set_injections((*self._injections, *placed))
-        self._note(placed[0])
+        self._changes.append(Change(self.t_ns, placed[0]))
 
     def clear(self) -> None:
         """Take all causes away, those of the configuration too; what sensors drifted is taken back."""
         self._set_injections(())
-        self._note("clear")
-
-    def set_wind(self, speed_m_s: float, towards_rad: float = math.pi / 4) -> None:
-        """Let another mean wind blow, with gusts by the vehicle's file; turbulence that was asked for stays.
-
-        towards_rad: where it blows to; 0 is north, pi/2 east. Raises UsageError for no number.
-        """
-        if not (math.isfinite(speed_m_s) and math.isfinite(towards_rad)):
-            raise UsageError(f"a wind needs finite numbers, not {speed_m_s:g} m/s to {towards_rad:g} rad")
-        air = air_of(self.airframe.vehicle, _wind(speed_m_s, towards_rad), self.config.gusts() is not None)
-        self._model = self._model._replace(air=air)
-        self._note("wind", wind_m_s=speed_m_s, wind_towards_rad=towards_rad)
-
-    def renew_battery(self) -> None:
-        """Put a full battery in."""
-        self._state.battery[:] = self._model.battery.open_circuit, 0.0
-        self._note("battery")
+        self._changes.append(Change(self.t_ns, "clear"))
 
     def take_controller(self, controller: Controller) -> None:
         """Let another controller fly from the next step on."""
@@ -258,9 +241,6 @@ class Plant:
         taken = tuple(self._changes)
         self._changes.clear()
         return taken
-
-    def _note(self, what: Injection | Literal["clear", "wind", "battery"], **values: float) -> None:
-        self._changes.append(Change(self.t_ns, what, values))
 
     def _placed(self, injections: tuple[Injection, ...]) -> tuple[Injection, ...]:
         for injection in injections:
@@ -318,8 +298,3 @@ class Plant:
                 self._model = reload(self._model, self._state, self.airframe, payloads)
                 self._loaded = hangs
         self._changes_at = min((step for step in changes if step > self._step), default=NEVER)
-
-
-def _wind(speed_m_s: float, towards_rad: float) -> FloatArray:
-    """(3,) world NED [m/s]."""
-    return speed_m_s * np.array([math.cos(towards_rad), math.sin(towards_rad), 0.0])

@@ -43,13 +43,12 @@ class Truth:
             return
         lines = [self._head()] if int(samples.t_ns[0]) < self._t_ns else []
         self._t_ns = int(samples.t_ns[-1])
-        for t_ns, what, values in changes:
+        for t_ns, what in changes:
             if isinstance(what, Injection):
                 self._causes.append(what)
-                continue
-            if what == "clear":
+            else:
                 self._causes.clear()
-            lines.append(self._line(what, t_ns, dict(values)))
+                lines.append(self._line(what, t_ns, {}))
         for row, t_ns in enumerate(samples.t_ns.tolist()):
             for cause in self._causes:
                 if t_ns - STEP_NS < _ns(cause.onset_s) <= t_ns:

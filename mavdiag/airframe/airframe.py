@@ -33,6 +33,8 @@ class Airframe:
             value = getattr(self, name)
             if value is not None and not (math.isfinite(value) and value > 0):
                 raise UsageError(f"airframe: {name} must be a positive number, not {value}")
+        if not isinstance(self.layout, RotorLayout | None):
+            raise UsageError(f"airframe: layout must be a RotorLayout, not {self.layout!r}; only a file names it")
         if self.outputs is None:
             return
         if self.layout is not None and len(self.outputs) != self.layout.rotors:

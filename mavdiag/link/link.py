@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import replace
 
-from mavdiag.errors import InputError
+from mavdiag.errors import InputError, UsageError
 from mavdiag.link.datagrams import Datagrams
 from mavdiag.link.ports import Endpoint, open_endpoint
 from mavdiag.link.profiles import Profile, profile_named
@@ -39,6 +39,8 @@ def open_link(
     it sends. key: of MAVLink 2 signing, 32 bytes: only what is signed with it is heard. passed: as in `Decoder`.
     Raises UsageError for a malformed address or an unknown profile, LinkError for a port that cannot be opened.
     """
+    if vehicle is not None and vehicle not in range(1, 256):
+        raise UsageError(f"vehicle must be a system id, 1 to 255, not {vehicle!r}")
     chosen = None if profile is None else profile_named(profile)
     signing = None if key is None else Signing(key, stamp=stamp_at(time.time_ns()))
     return Link(open_endpoint(address), vehicle, chosen, signing, passed)

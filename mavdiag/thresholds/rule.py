@@ -56,6 +56,7 @@ from typing import Any
 import numpy as np
 
 from mavdiag.errors import IdentificationError, InputError
+from mavdiag.printable import counted
 from mavdiag.telemetry import FloatArray
 from mavdiag.thresholds.heldout import BLOCK_S, Scores
 from mavdiag.units import S_PER_H
@@ -176,9 +177,9 @@ class Threshold:
 
     def statement(self) -> str:
         """One sentence: what is asked for, and what is shown."""
-        counts = (self.flights, "flight"), (self.sessions, "session")
-        flights, sessions = (f"{count} {what}{'s' * (count != 1)}" for count, what in counts)
-        basis = f"{self.blocks} healthy blocks of {self.block_s:g} s from {flights} in {sessions} ({self.hours:.3g} h)"
+        blocks, sessions = counted(self.blocks, "healthy block"), counted(self.sessions, "session")
+        flights = f"{counted(self.flights, 'flight')} in {sessions} ({self.hours:.3g} h)"
+        basis = f"{blocks} of {self.block_s:g} s from {flights}"
         shown = f"{self.exceeding or 'none'} of them above it"
         if self.demonstrated_per_hour < WORTH_SAYING_PER_HOUR:
             shown += f", so at 95 % fewer than {self.demonstrated_per_hour:.2g} alarms/h"

@@ -4,6 +4,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -56,7 +57,7 @@ def test_all_logs_of_a_folder_are_judged_and_one_that_is_damaged_is_told(tmp_pat
     paths = made(tmp_path, "a.tlog", "b.tlog", shaken=("b.tlog",))
     (tmp_path / "c.tlog").write_bytes(ULOG_HEAD)
     archive_baseline().save(tmp_path / "b.json")
-    verdicts = list(md.scan(tmp_path, tmp_path / "b.json", jobs=0))
+    verdicts = list(md.scan(tmp_path, tmp_path / "b.json"))
     assert [str(one.verdict) for one in verdicts] == ["healthy", "fault", "error"]
     assert [one.log for one in verdicts[:2]] == [str(path) for path in paths]
     assert str(verdicts[1]) == str(md.judge(paths[1], archive_baseline()))
@@ -133,10 +134,7 @@ def test_a_log_of_arrays_is_learnt_from_and_judged(tmp_path: Path) -> None:
         *(({"body_rate": ([t], [[0.0] * 3])}, "body_rate: give times .* not NaN or beyond") for t in (np.nan, 1.7e18)),
         ({"body_rate": ([0.0], [[0.0] * 2])}, "body_rate: it has 3 columns, not 2"),
         *(({"height": it}, "height: give times and values, two arrays") for it in (([0.0], ["low"]), ([0.0],))),
-        *(
-            ({"height": (np.array([0], kind), [0.0])}, "numbers: neither dates nor complex ones")
-            for kind in ("m8[ms]", "c16")
-        ),
+        *(({"height": (np.array([0], x), [0.0])}, "neither dates nor complex ones") for x in ("m8[ms]", "c16")),
         ({"height": (np.ma.masked_equal([0.0], 0.0), [0.0])}, "height: give times .* not NaN"),
     ],
 )
@@ -145,9 +143,24 @@ def test_arrays_of_no_signal_are_refused(signals: dict[str, tuple[list[float], l
         md.Log.from_arrays("x", signals)
 
 
-@pytest.mark.parametrize("name", ["body_rate", Signal.BODY_RATE])
-def test_a_series_by_its_name(name: str) -> None:
-    assert LOG[name] is LOG.telemetry[name] is RATE
+def test_an_argument_of_another_kind_is_refused_in_one_line() -> None:
+    api: Any = md
+    cases: tuple[tuple[Any, str], ...] = (
+        (lambda: api.judge(archive_baseline(), "a.tlog"), "a path is needed here, not Baseline"),
+        (lambda: api.scan("a.tlog", archive_baseline(), jobs=0), "jobs must be 1 or more, not 0"),
+        (lambda: api.Watch(archive_baseline()).step(LOG), "step takes Telemetry, as `log.telemetry`, not Log"),
+        (lambda: api.Airframe(layout="x"), "layout must be a RotorLayout, not 'x'"),
+        (lambda: api.open_link("udpin:127.0.0.1:0", vehicle=256), "vehicle must be a system id, 1 to 255, not 256"),
+        (lambda: api.identify("u", "y", dt=0.01), "u and y must be arrays of real numbers"),
+        (lambda: api.Series(Signal.HEIGHT, RATE.t_s, RATE.t_s, RATE.values), "t_ns and host_ns .n,. of int64"),
+    )
+    for call, says in cases:
+        with pytest.raises(md.MavdiagError, match=says):
+            call()
+
+
+def test_a_series_by_its_name() -> None:
+    assert LOG["body_rate"] is LOG[Signal.BODY_RATE] is LOG.telemetry["body_rate"] is RATE
     assert RATE.t_s.tolist() == [1.0, 1.5]
     assert (RATE.unit, OUTPUTS.unit) == ("rad/s", "")
     assert list(LOG.telemetry) == [RATE, OUTPUTS]

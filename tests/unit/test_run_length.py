@@ -47,9 +47,9 @@ def test_fsd_counts_consecutive_judged_rows_above_the_margin(rows: list[tuple[fl
 def test_the_margin_is_hazen_s_90th_percentile_of_the_size() -> None:
     rows = flying_rows(flying(2000, 1))
     rates = [values for one in rows for values in (one.rates.u, one.rates.y)]
-    for values in rates:
-        values *= 10.0
-    for rule, expected in (("p90", 90), ("max", 100)):
+    for rule, expected in (("max", 100), ("p90", 90)):
+        for values in rates:
+            values *= 10.0
         (spec,) = RunLength.fit([rows], replace(CONTEXT, axes=(Axis.ROLL,), margin_rule=rule))
         levels = np.abs(np.concatenate([one.signal[one.valid] for one in RunLength(spec).over(rows)]))
         assert spec.margin_rad_s == pytest.approx(np.percentile(levels, expected, method="hazen"), rel=1e-9)
