@@ -230,9 +230,8 @@ class _Run:
         self.monitors = _summaries(self.chain, self.state.accounts, self.events)
         self.upset, front = upset_in(self._motion), self.chain.front
         self.hidden = hidden_flight(self.log.telemetry, front.gate, front.align.quality, self._spans)
-        faults = (
-            change for change in self.changes if change.stage is Stage.FAULT
-        )  # of the gravest kind the first one:
+        faults = (change for change in self.changes if change.stage is Stage.FAULT)
+        # Of the gravest kind the first one.
         self.fault = max(faults, key=lambda one: -1 if one.kind is None else one.kind.rank, default=None)
         memory, dt_s = self.state.memory, self.chain.kernel.dt_s
         self.chain.kernel.restart(memory)  # what no value reaches any more is not judged
