@@ -22,6 +22,7 @@ FloatArray: TypeAlias = NDArray[np.float64]
 IntArray: TypeAlias = NDArray[np.int64]
 BoolArray: TypeAlias = NDArray[np.bool_]
 Three: TypeAlias = tuple[float, float, float]
+INT64 = np.dtype(np.int64)
 EARLIEST_NS = 10**18  # September 2001: an earlier wall clock was not set (our choice)
 
 
@@ -126,8 +127,12 @@ class Series:
     values: FloatArray
 
     def __post_init__(self) -> None:
-        lengths = {np.shape(self.t_ns), np.shape(self.host_ns), np.shape(self.values)[:1]}
-        if np.ndim(self.values) != 2 or len(lengths) > 1 or np.asarray(self.t_ns).dtype != np.int64:
+        try:  # by attributes, for this is done often
+            fits = self.t_ns.shape == self.host_ns.shape == self.values.shape[:1] and self.values.ndim == 2
+            fits = fits and self.t_ns.dtype == INT64
+        except AttributeError:
+            fits = False
+        if not fits:
             raise InputError(f"series {self.signal}: t_ns and host_ns (n,) of int64 and values (n, k) are needed")
 
     def __len__(self) -> int:
