@@ -12,16 +12,18 @@ INTERRUPTED = 130  # as of `mavdiag.commandline`, which takes time to load
 
 def start(module: str) -> NoReturn:
     """Load a program and run it."""
-    asked = signal.getsignal(signal.SIGINT)
-    if asked is signal.default_int_handler:  # not ignored; an exception may become another one while classes are made
-        signal.signal(signal.SIGINT, lambda *_: os._exit(INTERRUPTED))
+    asked = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    for number, handler in asked.items():
+        if handler is not signal.SIG_IGN:  # an exception may become another one while classes are made
+            signal.signal(number, lambda *_: os._exit(INTERRUPTED))
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy loads: its idle threads cost a sixth of the time
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # to look for them reads what every package brings
     gc.disable()  # what is loaded stays: to go through it again and again is a quarter of the time
     main = import_module(module).main
     gc.freeze()
     gc.enable()
-    signal.signal(signal.SIGINT, asked)
+    for number, handler in asked.items():
+        signal.signal(number, handler)
     sys.exit(main())
 
 

@@ -171,10 +171,11 @@ INSTALLED = [f"import mavdiag.__main__ as begin; begin.{name}()" for name in ("m
 MODULES = [f"runpy.run_module({name!r}, run_name='__main__')" for name in ("mavdiag", "detector", "sitl_plant")]
 
 
+@pytest.mark.parametrize("how", ["SIGINT", "SIGTERM"])
 @pytest.mark.parametrize("begin", [*INSTALLED, *MODULES])
-def test_ctrl_c_while_a_program_loads_is_quiet(begin: str) -> None:
+def test_ctrl_c_while_a_program_loads_is_quiet(begin: str, how: str) -> None:
     """Also where the import makes another error of an exception, as that of a class does."""
-    stop = "class Name:\n    def __set_name__(*_): signal.raise_signal(signal.SIGINT)\n"
+    stop = f"class Name:\n    def __set_name__(*_): signal.raise_signal(signal.{how})\n"
     stop += "class Stop:\n    def find_spec(name, *_):\n        if name == 'numpy': type('', (), {'': Name()})\n"
     code = f"import runpy, signal, sys\n{stop}sys.meta_path.insert(0, Stop)\n{begin}"
     ran = subprocess.run([sys.executable, "-c", code], stdout=-1, stderr=-1, check=False)
