@@ -4,7 +4,7 @@ Each setting is one field, with its option of the command line where it has one;
 """
 
 import inspect
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import combinations
 from pathlib import Path
 from typing import Annotated, Any, Self
@@ -22,6 +22,7 @@ from mavdiag.link.profiles import profile_named
 from mavdiag.link.wants import LEAST_HZ
 from mavdiag.monitors import by_name
 from mavdiag.storage import read_toml
+from mavdiag.telemetry import Axis
 
 LONGEST_S = 3600.0  # of learning: the flight is kept in memory until then, a gigabyte of 1 kHz (our choice)
 ENVIRONMENT = "MAVDIAG_DETECTOR_"  # prefix of the variables that set a setting; ..._CONFIG names the file
@@ -50,6 +51,22 @@ _FLIGHTS = "Keeps the recordings of flights that are not in the history yet."
 _ON_FAULT = "What to do about a fault, as 'gross loss: land; propeller fault after 10 s: rtl; suspected: text'."
 _MODES = "Flight modes in which it may be done.  [default: those that fly by themselves or hold a place]"
 _WEB = "Serve the live page; a bare port is on loopback, elsewhere it needs a token."
+
+
+def _of_monitor(name: str) -> None:
+    monitor, _, axis = name.partition(".")
+    by_name(monitor)
+    if axis and axis not in tuple(Axis):
+        raise UsageError(f"no axis {axis!r}; there are {', '.join(Axis)}")
+
+
+CHECKS: Mapping[str, Callable[[str], object]] = {  # of settings that another module reads
+    "hook": parse_hook,
+    "suspect": _of_monitor,
+    "on_fault": parse_rules,
+    "on_fault_modes": parse_modes,
+    "profile": profile_named,
+}
 
 
 class SessionSettings(BaseModel):
@@ -120,6 +137,16 @@ class Settings(SessionSettings):
         if isinstance(value, bool) and cls.model_fields[info.field_name or ""].annotation is not bool:
             raise ValueError("is a value, not true or false")
         return (value,) if isinstance(value, str) and isinstance(default, tuple) else value
+
+    @field_validator(*CHECKS)
+    @classmethod
+    def _readable(cls, value: Any, info: ValidationInfo) -> Any:
+        try:
+            for text in value if isinstance(value, tuple) else (value,):
+                CHECKS[info.field_name or ""](text)
+        except UsageError as error:
+            raise ValueError(str(error)) from error
+        return value
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -201,14 +228,6 @@ def load_settings(
         settings = Settings.model_validate(values)
     except ValidationError as error:
         raise UsageError(_reason(error, where)) from error
-    for hook in settings.hook:
-        parse_hook(hook)
-    for name in settings.suspect:
-        by_name(name.partition(".")[0])
-    parse_rules(settings.on_fault)
-    parse_modes(settings.on_fault_modes)
-    if settings.profile is not None:
-        profile_named(settings.profile)
     if settings.web is not None:
         page_address(settings.web, settings.web_token_file, settings.web_names)
     for one, other in combinations(_ends(settings), 2):

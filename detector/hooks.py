@@ -37,10 +37,10 @@ def parse_hook(text: str) -> Callable[[bytes], object]:
         words, parts = shlex.split(program), urlsplit(address)
         host, port = parts.hostname, parts.port
     except ValueError as error:
-        raise UsageError(f"hook {text!r}: {error}") from error
+        raise UsageError(f"{text!r}: {error}") from error
     if scheme == "exec":
         if not words or shutil.which(words[0]) is None:
-            raise UsageError(f"hook {text!r}: there is no program {(words or [''])[0]!r}")
+            raise UsageError(f"{text!r}: there is no program {(words or [''])[0]!r}")
         return lambda line: _run(words, line)
     if parts.username is not None or parts.password is not None:
         raise UsageError("a hook's address has no room for a user or password: others would see it in the process list")
@@ -49,7 +49,7 @@ def parse_hook(text: str) -> Callable[[bytes], object]:
     if scheme == "mqtt" and host and parts.path.strip("/") and not set("+#?").intersection(address):
         check_installed(f"hook {text!r}", "paho", "mqtt")
         return lambda line: _publish(host, port or MQTT_PORT, parts.path.strip("/"), line)
-    raise UsageError(f"hook {text!r}: write exec:PROGRAM, http://HOST/PATH, https://HOST/PATH or mqtt://HOST/TOPIC")
+    raise UsageError(f"{text!r}: write exec:PROGRAM, http://HOST/PATH, https://HOST/PATH or mqtt://HOST/TOPIC")
 
 
 def _run(words: list[str], line: bytes) -> None:

@@ -71,7 +71,7 @@ def parse_rules(text: str) -> tuple[Rule, ...]:
     ordered = sorted(rules, key=lambda rule: (FINDINGS.index(rule.finding), -rule.delay_s))
     for rule in ordered:
         if sum((rule.finding, rule.delay_s) == (other.finding, other.delay_s) for other in ordered) > 1:
-            raise UsageError(f"on_fault: two rows for {rule.finding!r} after {rule.delay_s:g} s; leave one out")
+            raise UsageError(f"two rows for {rule.finding!r} after {rule.delay_s:g} s; leave one out")
     return tuple(ordered)
 
 
@@ -81,24 +81,24 @@ def parse_modes(text: str) -> frozenset[str]:
     unknown = sorted(name for name in names if not name.isdecimal() and name not in MODES.values())
     if unknown or not names:
         known = ", ".join(sorted(set(MODES.values())))
-        raise UsageError(f"on_fault_modes: no mode {' '.join(unknown) or 'is named'}; known are {known}, and numbers")
+        raise UsageError(f"no mode {' '.join(unknown) or 'is named'}; known are {known}, and numbers")
     return names
 
 
 def _rule(row: str) -> Rule:
     found = _ROW.fullmatch(row)
     if found is None:
-        raise UsageError(f"on_fault: cannot read {row!r}: {_EXAMPLE}")
+        raise UsageError(f"cannot read {row!r}: {_EXAMPLE}")
     said = " ".join(found["finding"].lower().split())
     finding = next((name for name in FINDINGS if name == said or (said and name.startswith(f"{said} "))), None)
     if finding is None:
-        raise UsageError(f"on_fault: no finding {said!r}; known are {', '.join(FINDINGS)}")
+        raise UsageError(f"no finding {said!r}; known are {', '.join(FINDINGS)}")
     try:
         delay_s = float(found["delay"] or 0.0)
     except ValueError as error:
-        raise UsageError(f"on_fault: no delay {found['delay']!r} in {row!r}; {_EXAMPLE}") from error
+        raise UsageError(f"no delay {found['delay']!r} in {row!r}; {_EXAMPLE}") from error
     if delay_s > LONGEST_S:
-        raise UsageError(f"on_fault: a delay of {delay_s:g} s in {row!r} is too long; {LONGEST_S:g} s at most")
+        raise UsageError(f"a delay of {delay_s:g} s in {row!r} is too long; {LONGEST_S:g} s at most")
     return Rule(finding, delay_s, *_action(found["action"].split(), row))
 
 
@@ -116,8 +116,8 @@ def _action(words: list[str], row: str) -> tuple[str, int | None, tuple[float, .
         command = None
     if command not in numbers.values() or len(rest) > 7 or not all(map(math.isfinite, parameters)):
         known = ", ".join((TEXT, *ACTIONS))
-        raise UsageError(f"on_fault: no action {' '.join(words)!r} in {row!r}; known are {known}, a MAV_CMD")
+        raise UsageError(f"no action {' '.join(words)!r} in {row!r}; known are {known}, a MAV_CMD")
     if command in REFUSED:
         never = "the detector neither arms nor stops motors"
-        raise UsageError(f"on_fault: {name!r} in {row!r}: {never}; choose another action")
+        raise UsageError(f"{name!r} in {row!r}: {never}; choose another action")
     return name.upper().removeprefix("MAV_CMD_"), command, parameters
