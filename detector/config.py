@@ -22,7 +22,7 @@ from mavdiag.link.profiles import profile_named
 from mavdiag.link.wants import LEAST_HZ
 from mavdiag.monitors import by_name
 from mavdiag.storage import read_toml
-from mavdiag.telemetry import Axis
+from mavdiag.telemetry import axis_named
 
 LONGEST_S = 3600.0  # of learning: the flight is kept in memory until then, a gigabyte of 1 kHz (our choice)
 ENVIRONMENT = "MAVDIAG_DETECTOR_"  # prefix of the variables that set a setting; ..._CONFIG names the file
@@ -56,8 +56,8 @@ _WEB = "Serve the live page; a bare port is on loopback, elsewhere it needs a to
 def _of_monitor(name: str) -> None:
     monitor, _, axis = name.partition(".")
     by_name(monitor)
-    if axis and axis not in tuple(Axis):
-        raise UsageError(f"no axis {axis!r}; there are {', '.join(Axis)}")
+    if axis:
+        axis_named(axis)
 
 
 CHECKS: Mapping[str, Callable[[str], object]] = {  # of settings that another module reads
@@ -142,7 +142,7 @@ class Settings(SessionSettings):
     @classmethod
     def _readable(cls, value: Any, info: ValidationInfo) -> Any:
         try:
-            for text in value if isinstance(value, tuple) else (value,):
+            for text in value if isinstance(value, tuple) else () if value is None else (value,):
                 CHECKS[info.field_name or ""](text)
         except UsageError as error:
             raise ValueError(str(error)) from error

@@ -47,7 +47,7 @@ def parse_hook(text: str) -> Callable[[bytes], object]:
     if scheme in ("http", "https") and host:
         return lambda line: _post(text, line)
     if scheme == "mqtt" and host and parts.path.strip("/") and not set("+#?").intersection(address):
-        check_installed(f"hook {text!r}", "paho", "mqtt")
+        check_installed(repr(text), "paho", "mqtt")
         return lambda line: _publish(host, port or MQTT_PORT, parts.path.strip("/"), line)
     raise UsageError(f"{text!r}: write exec:PROGRAM, http://HOST/PATH, https://HOST/PATH or mqtt://HOST/TOPIC")
 

@@ -23,7 +23,7 @@ from mavdiag.learning import LearnOptions
 from mavdiag.learning.flights import front_for, rows_of
 from mavdiag.monitors.run_length import MIN_PIECE_S, training_pieces
 from mavdiag.printable import printable
-from mavdiag.telemetry import Axis, FloatArray, Log, Telemetry
+from mavdiag.telemetry import Axis, FloatArray, Log, Telemetry, axis_named
 
 Source: TypeAlias = Log | str | Path  # a log, or where it is
 
@@ -109,12 +109,11 @@ def rates(flight: Source, axis: Axis | str, window_s: float = 0.1) -> FlightRate
     window_s: Savitzky-Golay window of both [s]. There is one array for each unbroken stretch of two seconds or more.
     Raises InputError if no stretch is long enough, UsageError for an axis that there is not.
     """
-    if axis not in tuple(Axis):
-        raise UsageError(f"no axis {axis!r}; there are {', '.join(Axis)}")
+    axis = axis_named(axis)
     log = flight if isinstance(flight, Log) else read_log(flight)
     front = front_for([log], window_s)
     rows = rows_of(front, log.telemetry)
-    pieces = training_pieces(rows, Axis(axis))
+    pieces = training_pieces(rows, axis)
     if not pieces:
         raise InputError(f"{log.name}: no unbroken flight of {MIN_PIECE_S:g} s with a set-point; fly longer")
     return FlightRates([u for u, _ in pieces], [y for _, y in pieces], front.align.dt_s)

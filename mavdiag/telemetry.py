@@ -64,6 +64,13 @@ class Axis(StrEnum):
         return ("roll", "pitch", "yaw").index(self.value)
 
 
+def axis_named(name: str) -> Axis:
+    """The axis of that name. Raises UsageError, listing the names, if there is none."""
+    if name not in tuple(Axis):
+        raise UsageError(f"no axis {name!r}; there are {', '.join(Axis)}")
+    return Axis(name)
+
+
 class Signal(StrEnum):
     """What a series measures. The comment gives its columns and their unit."""
 

@@ -236,7 +236,8 @@ def without_rounding(u: Sequence[FloatArray], y: Sequence[FloatArray]) -> list[F
 def _records(values: Records) -> list[FloatArray]:
     try:
         several = not isinstance(values, np.ndarray) and (len(values) == 0 or np.ndim(values[0]) > 0)
-        return [np.asarray(record).astype(np.float64, casting="safe") for record in (values if several else [values])]
+        records = values if several else [values]
+        return [np.asarray(record).astype(np.float64, casting="safe", copy=False) for record in records]
     except (TypeError, ValueError) as error:
         raise IdentificationError(f"u and y must be arrays of real numbers, or sequences of such: {error}") from error
 

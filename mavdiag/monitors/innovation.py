@@ -183,7 +183,6 @@ class Innovation(Monitor[InnovationSpec]):
             R = triangle(np.concatenate((triangle(stacked.T), *triangles)))
             R = triangle(np.concatenate((R, math.sqrt((1 + len(triangles)) * stacked.shape[1]) * unseen)))
             scale = np.linalg.norm(R[:, :-1], axis=0)
-            scale[scale == 0.0] = 1.0  # b of an axis that is never commanded is undetermined, and comes out as zero
             theta = np.linalg.lstsq(R[:, :-1] / scale, R[:, -1], rcond=RANK_TOLERANCE)[0] / scale
             errors = np.split((stacked[-1] - theta @ stacked[:-1])[:, None], borders)
             squares = np.concatenate([np.square((e - smoothed(e, slow)) / (1.0 - slow)) for e in errors])[:, 0]

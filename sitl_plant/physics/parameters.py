@@ -65,7 +65,7 @@ def make_model(
             power_per_cube=torque / battery.drive_efficiency,
             avionics=battery.avionics_a,
         ),
-        air=air_of(vehicle, wind_N, turbulent),
+        air=_air(vehicle, wind_N, turbulent),
         imu=sensors.Imu(
             position=np.asarray(imu.position_m) - centre,
             bias=np.concatenate([airframe.gyro_bias, np.zeros(3)]),
@@ -93,7 +93,7 @@ def make_model(
     )
 
 
-def air_of(vehicle: Vehicle, wind_N: FloatArray, turbulent: bool = False) -> Air:
+def _air(vehicle: Vehicle, wind_N: FloatArray, turbulent: bool = False) -> Air:
     """The wind, with arguments as those of `make_model`."""
     if turbulent:
         return Air(wind_N, 1.0, 0.0)
