@@ -30,6 +30,7 @@ from mavdiag import commandline
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import Baseline
 from mavdiag.chain import warm
+from mavdiag.errors import UsageError
 from mavdiag.inspections import Inspections
 from mavdiag.link.keys import open_signing
 from mavdiag.link.ports import open_endpoint
@@ -100,6 +101,8 @@ app.command()(detect)
 
 def _serve(settings: Settings, *, reset_stamp: bool) -> None:
     check_files(settings)
+    if reset_stamp and settings.signing_key is None:
+        raise UsageError("--reset-stamp is about the stamp of a signing key; name it with --signing-key FILE")
     with ExitStack() as stack:
         enter = stack.enter_context
         stop = enter(commandline.stop_signals())

@@ -17,6 +17,7 @@ from pydantic import (
     BaseModel,
     BeforeValidator,
     ConfigDict,
+    FailFast,
     Field,
     PlainSerializer,
     TypeAdapter,
@@ -191,7 +192,7 @@ class Baseline(Part, Tabular):
     link: Link
     window: Window
     link_quality: LinkQuality = LinkQuality()  # which samples of the link are believed
-    monitors: Annotated[tuple[MonitorEntry, ...], Field(min_length=1)]
+    monitors: Annotated[tuple[MonitorEntry, ...], Field(min_length=1), FailFast()]
     not_judgeable: tuple[Refusal, ...]
     envelope: tuple[Covered, ...] = ()
     healthy_hours: NotNegative

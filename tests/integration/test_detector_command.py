@@ -92,8 +92,7 @@ def baseline(tmp_path: Path) -> Path:
 
 
 def test_check_tells_what_a_start_would_do_and_opens_nothing(program: Any, baseline: Path, tmp_path: Path) -> None:
-    config = tmp_path / "detector.toml"
-    config.write_text(
+    (config := tmp_path / "detector.toml").write_text(
         f'baseline = "{baseline}"\njournal = "{tmp_path}/j.jsonl"\nforward = ["/dev/absent,57600"]\nmetrics = "9100"\n'
         f'threshold_scale = 2.0\n[vehicles.200]\nbaseline = "{baseline}"\n'
     )
@@ -108,6 +107,7 @@ def test_check_tells_what_a_start_would_do_and_opens_nothing(program: Any, basel
     assert "not now (/dev/absent,57600: no such device" in out
     assert sorted(tmp_path.iterdir()) == before
     assert "not kept: every start learns anew" in program("detector.__main__", "--check", "--learn", "10")[1]
+    assert "name it with --signing-key" in program("detector.__main__", "--reset-stamp", "--learn", "10")[2]
 
 
 @pytest.mark.realtime
