@@ -1,8 +1,8 @@
-"""Matrices out of MATLAB files of version 5, as far as a file reaches; `scipy.io` reads them.
+"""Matrices out of MATLAB files of version 5, as far as a file reaches; `scipy.io` reads what they are.
 
 Layout (MathWorks, "MAT-File Format"): a header of 128 bytes, then elements of a tag (u32 type, u32 bytes) and their
-data. scipy reads no file that is cut off, and a file may claim any size: so the elements are handed to it one by one,
-inflated within a bound, and filled up to the length that they claim.
+data. A file may be cut off and may claim any size, so its elements are inflated within a bound, and numbers are read
+here: scipy's reader of these ends the process at a type that does not exist.
 """
 
 import struct
@@ -23,6 +23,8 @@ BYTE_ORDERS = {b"\x00\x01IM": "<", b"\x01\x00MI": ">"}  # version 0x0100 and the
 NEWER = b"MATLAB 7.3"  # HDF5 behind the header of 128 bytes
 COMPRESSED = 15  # type of an element
 NUMERIC = ("double", "single", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64")
+COMPLEX = 0x800  # of a matrix's flags, the first word behind two tags
+NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}  # types of data
 HEAD_BYTES = 4096  # flags, dimensions and name of a matrix fit in them
 MAX_BYTES = 2**28  # of all matrices as float64 (our choice): more than the longest recording has, twice; more is damage
 
@@ -69,15 +71,24 @@ def read_matrices(data: bytes, wanted: Mapping[str, int]) -> tuple[dict[str, Flo
         except zlib.error as error:
             raise InputError(f"its compressed data are damaged ({error}); download it again") from error
         values_at = 56 + (-(-len(name) // 8) * 8 if len(name) > 4 else 0)  # a short name stands in its tag
-        column_bytes = rows * ((claimed - values_at) // (rows * columns))
-        whole = min(columns, (len(element) - values_at) // column_bytes) if column_bytes > 0 else 0
+        if len(element) < values_at:
+            continue
+        type_of_data, flags = (struct.unpack_from(order + "I", element, at)[0] for at in (values_at - TAG_BYTES, 16))
+        if type_of_data not in NUMBERS:
+            raise InputError(f"{name} is damaged: its numbers are of no type; download it again")
+        if flags & COMPLEX:
+            raise InputError(f"{name} is of complex numbers: it is another recording")
+        numbers = np.dtype(order + NUMBERS[type_of_data])
+        whole = min(columns, (min(len(element), claimed) - values_at) // (rows * numbers.itemsize))
         if whole <= 0:
             continue
         if whole < columns:
             notes.append(f"{name}: only {whole} of {columns} samples are there: it was cut off")
         elif stream and not stream.eof:
             notes.append(f"{name}: its checksum is cut off")
-        found[name] = _values(header + element.ljust(claimed, b"\0"), name)[:whole]
+        values = np.frombuffer(element, numbers, rows * whole, values_at).reshape(whole, rows)
+        with np.errstate(invalid="ignore"):
+            found[name] = values.astype(np.float64)
         left -= found[name].nbytes
     if lacking := [name for name in wanted if name not in found]:
         remedy = "it was cut off; download it again" if position > len(data) else "it is another recording, or cut off"
@@ -97,14 +108,3 @@ def _claimed(file: bytes) -> tuple[str, int, int]:
         return (str(name), int(rows), int(columns)) if kind in NUMERIC and min(rows, columns) > 0 else ("", 0, 0)
     except _SCIPY_ERRORS:
         return "", 0, 0
-
-
-def _values(file: bytes, name: str) -> FloatArray:
-    try:
-        stored = _scipy_io().loadmat(BytesIO(file), variable_names=[name])[name]
-        if stored.dtype.kind == "c":
-            raise InputError(f"{name} is of complex numbers: it is another recording")
-        with np.errstate(invalid="ignore"):
-            return np.asarray(stored.T, dtype=np.float64)
-    except _SCIPY_ERRORS as error:
-        raise InputError(f"{name} is damaged ({' '.join(str(error).split())}); download it again") from error

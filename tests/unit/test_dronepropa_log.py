@@ -114,8 +114,7 @@ def test_a_file_against_the_table_is_refused(tmp_path: Path, change: Change, rea
     file = changed(tmp_path, change)
     with pytest.raises(InputError, match=reason) as caught:
         read_log(file)
-    assert str(file) in str(caught.value)
-    assert "\n" not in str(caught.value)
+    assert [str(file) in line for line in str(caught.value).split("\n")] == [True]
 
 
 @pytest.mark.parametrize(
@@ -140,10 +139,19 @@ def test_it_reads_what_scipy_reads(compressed: bool, dtype: str) -> None:
     rows = {name: (20 * values).astype(dtype) for name, values in ROWS.items()}
     data = content({"other": np.ones((5, 7)), **rows, "text": np.array(["a", "b"])}, compressed=compressed)
     found, notes = read_matrices(data, WANTED)
-    for name, values in loadmat(BytesIO(data)).items():  # type: ignore[arg-type]  # the stubs know no open files
-        if name in WANTED:
-            np.testing.assert_array_equal(found[name], values.T)
+    expected = loadmat(BytesIO(data))  # type: ignore[arg-type]  # the stubs know no open files
+    np.testing.assert_equal(found, {name: expected[name].T for name in WANTED})
     assert notes == ()
+
+
+def test_numbers_of_no_type_and_complex_ones_are_refused() -> None:
+    data = content(ROWS, compressed=False)
+    at = data.index(b"one") + 4  # behind the tag that holds so short a name
+    for kind in (0, 8, 0x29, 0x2009):  # at the last two the reader of scipy 1.17 ends the process
+        with pytest.raises(InputError, match="one is damaged: its numbers are of no type"):
+            read_matrices(data[:at] + struct.pack("<I", kind) + data[at + 4 :], WANTED)
+    with pytest.raises(InputError, match="one is of complex numbers"):
+        read_matrices(content({"one": ROWS["one"] + 1j}), WANTED)
 
 
 @pytest.mark.parametrize("missing", [1, 2, 3, 4])

@@ -19,14 +19,7 @@ from shared_data import shared
 from mavdiag.errors import IdentificationError
 from mavdiag.identify import ArxModel, Method, ModelRecord, Order, fit
 from mavdiag.identify.arx import Estimate, Records, Segment, polynomials
-from mavdiag.identify.estimate import (
-    ORDERS,
-    best_row,
-    examine_residual,
-    nrmse_percent,
-    sweep,
-    validate,
-)
+from mavdiag.identify.estimate import ORDERS, best_row, examine_residual, nrmse_percent, sweep, validate
 from mavdiag.identify.lab import estimate_response, model_figures, model_response, track
 from mavdiag.identify.sriv import sriv
 from mavdiag.rows.savgol import coefficients
