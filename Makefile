@@ -9,7 +9,7 @@ unexport PYTHONDONTWRITEBYTECODE
 COMPILED := $(VENV)/.kernel $(VENV)/.rows $(VENV)/.plant
 
 .PHONY: system demo test virtual realtime lint types layers doctest docs examples screenshots dist deb try-deb packages \
-  check older lowest bench fuzz soak clean help
+  check older bounds lowest bench fuzz soak clean help
 
 help:  ## list the targets
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/'
@@ -82,6 +82,9 @@ screenshots: $(COMPILED)  ## the pages of reports in Chromium, as pictures in bu
 
 older: $(STAMP)  ## the tests as on a processor that has nothing above AVX2; says so where this one has nothing more
 	$(BIN)/nox -s older
+
+bounds: $(STAMP)  ## a core part of the tests with every index of compiled code checked
+	$(BIN)/nox -s bounds
 
 lowest: $(STAMP)  ## the lowest versions that pyproject.toml allows, in an environment of their own
 	$(BIN)/nox -s lowest

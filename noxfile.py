@@ -65,6 +65,16 @@ def older(session: nox.Session) -> None:
     session.run("make", "test", external=True, env={"NPY_DISABLE_CPU_FEATURES": " ".join(newer), **kinds})
 
 
+@nox.session
+def bounds(session: nox.Session) -> None:
+    """The core part with every index of compiled code checked; in a copy, for machine code lies beside its source."""
+    folder = session.create_tmp()
+    session.run("git", "clone", "-q", ".", f"{folder}/copy", external=True)
+    with session.chdir(f"{folder}/copy"):
+        kept = {"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": f"{folder}/compiled"}
+        session.run("python", "-m", "pytest", "-m", "not realtime", *CORE, env=kept)
+
+
 @nox.session(venv_backend="uv")
 def lowest(session: nox.Session) -> None:
     """The lowest versions that pyproject.toml allows, in an environment of their own: a core part of the suite."""

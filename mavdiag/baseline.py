@@ -31,7 +31,7 @@ from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.fingerprint import Fingerprint
 from mavdiag.errors import BaselineError, InputError, MavdiagError
 from mavdiag.monitors import NEED_LAYOUT, by_name, monitor_of
-from mavdiag.monitors.spec import NotNegative, Positive
+from mavdiag.monitors.spec import NotNegative, Period, Positive
 from mavdiag.printable import counted, printable
 from mavdiag.rows.align import Grid
 from mavdiag.rows.gate import GateSpec
@@ -72,7 +72,7 @@ class Link(Part):
     """How the streams reach us: the profile of the link or kind of log, and how rows are made of it."""
 
     profile: str
-    dt_s: Positive  # row period
+    dt_s: Period  # of rows
     grid: Grid
     max_gap_s: Annotated[float, Field(gt=0, le=600)]  # that is interpolated
     gate: GateSpec
@@ -208,6 +208,8 @@ class Baseline(Part, Tabular):
         for number, entry in enumerate(self.monitors):
             if not all(0 <= one < len(self.provenance.logs) for one in entry.scores.flights):
                 raise ValueError(f"monitors.{number}.scores.flights: they are no numbers of its flights")
+            if getattr(entry.spec, "layout", None) not in (None, self.airframe.layout):
+                raise ValueError(f"monitors.{number}.spec.layout: it is not the airframe's")
         return self
 
     @property

@@ -14,7 +14,7 @@ from mavdiag.identify.arx import triangle, without_rounding
 from mavdiag.jit import allocating, cached
 from mavdiag.monitors.base import Begin, Flights, LearnContext, Monitor, segments
 from mavdiag.monitors.fitting import MEMORY_S, cut_to_share, need_commanded, of_each, smoothed, three, variance_law
-from mavdiag.monitors.spec import Delay, NotNegative, Positive, spec
+from mavdiag.monitors.spec import Delay, NotNegative, Period, Positive, Span, spec
 from mavdiag.rows.block import COMMANDED, GYRO, LEVEL, MADE_UP, SOUND, VALID, VALUE, Floats, Ints, U
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
@@ -54,15 +54,15 @@ class InnovationSpec:
     """Healthy prediction of roll, pitch and yaw rate, in that order."""
 
     kind: Literal["innovation"] = "innovation"
-    dt_s: Positive
+    dt_s: Period
     mean: Three  # bias of the healthy gyro, mean(gyro - commanded rate) [rad/s]: a nose that turns steadily is none
     a: tuple[Four, Four, Four]  # of each axis a_1..a_4
     b: tuple[Four, Four, Four]
     k0: tuple[Positive, Positive, Positive]  # variance of the innovation at rest [(rad/s)^2]
     k1: tuple[NotNegative, NotNegative, NotNegative]  # and per mean square of the commanded rate
-    window_s: Positive = WINDOW_S
-    memory_s: Positive = MEMORY_S  # of the command
-    slow_s: Positive = SLOW_S  # memory of the mean error
+    window_s: Span = WINDOW_S
+    memory_s: Span = MEMORY_S  # of the command
+    slow_s: Span = SLOW_S  # memory of the mean error
     delay_s: Delay = 0.0  # half the window of the rate filters
 
 

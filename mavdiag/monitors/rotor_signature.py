@@ -36,7 +36,7 @@ from mavdiag.jit import cached, jit, summing
 from mavdiag.monitors.base import Begin, Feature, Flights, LearnContext, Monitor, RotorEvidence, parted
 from mavdiag.monitors.fitting import MEMORY_S, cut_to_share, need_commanded, of_each, smoothed, three, variance_law
 from mavdiag.monitors.run_length import at_rest, free_run, taps_of
-from mavdiag.monitors.spec import NotNegative, Positive, spec
+from mavdiag.monitors.spec import NotNegative, Period, Positive, Span, spec
 from mavdiag.rows.block import COMMANDED, FORCE, LEVEL, OUTPUTS, SOUND, THRUST, TRACE, VALUE, Floats, Ints, U, Y
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
@@ -86,7 +86,7 @@ PASTS = STATES + 3 * OF_STATE
 class HealthyMotion:
     """How the healthy airframe answers. Raises InputError for an even window."""
 
-    dt_s: Positive
+    dt_s: Period
     stride: Annotated[int, Field(ge=1)]  # rows from one sample to the next
     window: int  # rows of the rate filters, odd
     roll: ModelRecord  # rate [rad/s] on commanded rate
@@ -117,7 +117,7 @@ class RotorSignatureSpec:
     kind: Literal["rotor_signature"] = "rotor_signature"
     layout: RotorLayout
     motion: HealthyMotion
-    window_s: Positive = WINDOW_S
+    window_s: Span = WINDOW_S
 
     @property
     def samples(self) -> int:

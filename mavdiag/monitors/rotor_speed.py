@@ -40,7 +40,7 @@ from mavdiag.errors import IdentificationError, InputError
 from mavdiag.jit import cached, jit
 from mavdiag.monitors.base import Begin, Flights, LearnContext, Monitor, RotorEvidence
 from mavdiag.monitors.fitting import held_law, of_each, traced
-from mavdiag.monitors.spec import Positive, spec
+from mavdiag.monitors.spec import Positive, Span, spec
 from mavdiag.rows.block import Floats, Ints
 from mavdiag.rows.conditions import TRIM_CONDITIONS
 from mavdiag.rows.front import Rows
@@ -85,7 +85,7 @@ class RotorSpeedSpec:
     law: Pair = (LAW.item(0), LAW.item(1))  # b
     errors: tuple[Pair, Pair]  # P
     spread: Positive  # rms of the healthy rotors about the law [share of speed]
-    window_s: Positive = WINDOW_S
+    window_s: Span = WINDOW_S
 
     def __post_init__(self) -> None:
         if not len(self.mean) == len(self.about) == self.layout.rotors:

@@ -38,7 +38,7 @@ from mavdiag.errors import IdentificationError, InputError
 from mavdiag.jit import allocating, cached, jit
 from mavdiag.monitors.base import Begin, Feature, Flights, LearnContext, Monitor, RotorEvidence, segments
 from mavdiag.monitors.fitting import held_law, of_each, three, updated
-from mavdiag.monitors.spec import Positive, spec
+from mavdiag.monitors.spec import Positive, Span, spec
 from mavdiag.rows.block import Floats, Ints
 from mavdiag.rows.conditions import TRIM_CONDITIONS
 from mavdiag.rows.front import Rows
@@ -90,7 +90,7 @@ class TrimSpec:
     turn: Three = (0.0, 0.0, 0.0)  # b1, b2 and b3
     turn_covariance: tuple[Three, Three, Three] = ((0.0, 0.0, 0.0),) * 3
     spread: tuple[Positive, Positive, Positive]  # of the 5 s means about the mean, or about the reference
-    window_s: Positive = WINDOW_S
+    window_s: Span = WINDOW_S
 
     def __post_init__(self) -> None:
         if self.source == "torque" and self.layout.torque_gain is None:

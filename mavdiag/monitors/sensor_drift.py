@@ -15,7 +15,7 @@ from mavdiag.errors import IdentificationError, InputError
 from mavdiag.jit import cached, jit
 from mavdiag.monitors.base import Begin, FaultKind, Flights, LearnContext, Monitor, parted
 from mavdiag.monitors.fitting import of_each, three, traced
-from mavdiag.monitors.spec import Positive, spec
+from mavdiag.monitors.spec import Period, Positive, spec
 from mavdiag.rows.block import ATTITUDE, FORCE, LEVEL, RATE, SOUND, TRACE, VALID, VALUE, Floats, Ints
 from mavdiag.rows.front import Rows
 from mavdiag.rows.rates import body_rates
@@ -52,7 +52,7 @@ class SensorDriftSpec:
     """Healthy agreement."""
 
     kind: Literal["sensor_drift"] = "sensor_drift"
-    dt_s: Positive
+    dt_s: Period
     bias: Three  # mean of gyro less attitude rate [rad/s]
     vertical: float  # mean of the vertical specific force beyond -g [m/s^2]
     tilt: Positive  # rms of the disagreement over 15 s [rad]

@@ -10,7 +10,7 @@ from mavdiag.errors import IdentificationError, InputError
 from mavdiag.jit import allocating, cached
 from mavdiag.monitors.base import SLACK, Begin, FaultKind, Flights, LearnContext, Monitor
 from mavdiag.monitors.fitting import of_each, traced
-from mavdiag.monitors.spec import Positive, spec
+from mavdiag.monitors.spec import Positive, Span, spec
 from mavdiag.rows.block import LEVEL, RATE, SOUND, TRACE, VALID, VALUE, Floats, Ints
 from mavdiag.rows.front import Rows
 from mavdiag.rows.running import FRESH, mean_size, push, total
@@ -34,7 +34,7 @@ class SensorNoiseSpec:
 
     kind: Literal["sensor_noise"] = "sensor_noise"
     rms: Six  # of the fourth difference of gyro x, y, z [rad/s] and accelerometer x, y, z [m/s^2]
-    window_s: Positive = WINDOW_S
+    window_s: Span = WINDOW_S
 
 
 @allocating

@@ -13,7 +13,7 @@ from mavdiag.airframe.trim import BESIDE, spread_of
 from mavdiag.errors import IdentificationError
 from mavdiag.jit import cached, jit
 from mavdiag.monitors.base import Flights
-from mavdiag.monitors.spec import Positive, spec
+from mavdiag.monitors.spec import Positive, Span, spec
 from mavdiag.rows.block import COVERED, SOUND, TRACE, Floats, Ints
 from mavdiag.telemetry import FloatArray, Three
 
@@ -37,7 +37,7 @@ class TrimStepSpec(trim.TrimSpec):
     """
 
     kind: Literal["trim_step"] = "trim_step"
-    memory_s: Positive = MEMORY_S
+    memory_s: Span = MEMORY_S
     drift_per_s: Positive = DRIFT_PER_S
 
 

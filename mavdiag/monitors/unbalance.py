@@ -17,7 +17,7 @@ from mavdiag.errors import IdentificationError, InputError
 from mavdiag.jit import allocating, cached, jit
 from mavdiag.monitors.base import SLACK, Begin, Feature, Flights, LearnContext, Monitor, RotorEvidence
 from mavdiag.monitors.fitting import of_each, traced
-from mavdiag.monitors.spec import Positive, spec
+from mavdiag.monitors.spec import Period, Positive, Span, spec
 from mavdiag.rows.block import FORCE, LEVEL, RATE, SOUND, TRACE, VALID, VALUE, Floats, Ints
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
@@ -78,7 +78,7 @@ class UnbalanceSpec:
     """
 
     kind: Literal["unbalance"] = "unbalance"
-    dt_s: Positive
+    dt_s: Period
     corner_hz: Positive  # of the high-pass
     layout: RotorLayout | None  # None if it is not known
     covariance: tuple[float, float]  # healthy mean of gz ax and gz ay [m/s^2 rad/s]
@@ -87,7 +87,7 @@ class UnbalanceSpec:
     power: Positive  # healthy mean of ax^2 + ay^2 [(m/s^2)^2]
     mass_kg: Positive | None = None  # with both the statistic is in g mm, else in m/s^2
     hover_rad_s: Positive | None = None  # rotor speed that carries the mass
-    window_s: Positive = WINDOW_S
+    window_s: Span = WINDOW_S
 
     def __post_init__(self) -> None:
         if (self.mass_kg is None) != (self.hover_rad_s is None):

@@ -13,7 +13,7 @@ from mavdiag.errors import InputError
 from mavdiag.jit import cached
 from mavdiag.monitors.base import Begin, Flights, LearnContext, Monitor
 from mavdiag.monitors.fitting import of_each
-from mavdiag.monitors.spec import NotNegative, Positive, spec
+from mavdiag.monitors.spec import NotNegative, Span, spec
 from mavdiag.rows.block import LEVEL, SOUND, VALID, VALUE, VIBRATION, Floats, Ints
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
@@ -31,7 +31,7 @@ class VibrationLevelSpec:
 
     kind: Literal["vibration_level"] = "vibration_level"
     healthy: NotNegative
-    window_s: Positive = WINDOW_S
+    window_s: Span = WINDOW_S
 
 
 @cached

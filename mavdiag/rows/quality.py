@@ -411,7 +411,7 @@ def _use(s: Samples, i: int, finest: float) -> bool:
     for column in range(columns):
         zero = zero and v[column, s.at + i] == 0.0
         alone = alone or s.counts[RUNS + 1 + column] > rule[LEAP + 3 * columns + column]
-    dead = (frozen or zero) and not v[0, s.at + i] < rule[LOWEST]
+    dead = columns > 0 and (frozen or zero) and not v[0, s.at + i] < rule[LOWEST]
     if rule[GYRO]:
         if dead or alone:
             v[columns, s.at + i] = FROZEN_CODE
