@@ -91,7 +91,7 @@ class Doubt(StrEnum):
 
 
 DOUBTS = (None, *Doubt)  # by the code that rows carry
-NotNegative: TypeAlias = Annotated[float, Field(ge=0)]
+NotNegative: TypeAlias = Annotated[float, Field(ge=0, lt=1e100)]  # its square is finite
 
 
 class Habit(BaseModel):
@@ -108,8 +108,8 @@ class Habit(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     signal: Signal
-    period_s: Annotated[float, Field(gt=0)]
-    pause_s: NotNegative
+    period_s: Annotated[float, Field(gt=0, le=3600)]
+    pause_s: Annotated[float, Field(ge=0, le=3600)]
     leap: Annotated[tuple[NotNegative, ...], Field(min_length=1)]
     quiet: Annotated[tuple[NotNegative, ...], Field(min_length=1)]
     still: Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(min_length=1)]
