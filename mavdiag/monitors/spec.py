@@ -10,7 +10,7 @@ from mavdiag.errors import InputError
 from mavdiag.rows.quality import NotNegative as NotNegative
 
 Positive: TypeAlias = Annotated[float, Field(gt=1e-100, lt=1e100)]  # its square is neither zero nor infinite
-Period: TypeAlias = Annotated[float, Field(ge=1e-4, le=1)]  # [s], of rows; tenths of the shortest and the longest
+Period: TypeAlias = Annotated[float, Field(ge=1e-4, le=1)]  # [s], of rows: 10 kHz to 1 Hz
 Span: TypeAlias = Annotated[float, Field(gt=0, le=600)]  # [s], of windows and memories: 20 times the longest
 Delay: TypeAlias = Annotated[float, Field(ge=0, le=60)]  # [s], hundreds of times the longest of the rate filters
 
