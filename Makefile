@@ -106,9 +106,10 @@ packages: dist  ## the packages built and tried, where this may install one
 bench: $(COMPILED)  ## the short benchmarks: ratios against a peer in the same run
 	set -e; for script in start_time decode plant_speed chain_speed detector_load endpoint; do $(BIN)/python benchmarks/$$script.py; done
 
-fuzz: $(STAMP)  ## hostile input: 10^7 datagrams, and 10 minutes guided by coverage (hours on a slow machine)
+fuzz: $(STAMP)  ## hostile input: 10^7 datagrams, 1,000 baselines, and 10 minutes guided by coverage (hours on a slow machine)
 	$(INSTALL) --group fuzz
 	PYTHONPATH=tests $(BIN)/python fuzz/datagrams.py
+	$(BIN)/python fuzz/baselines.py
 	PYTHONPATH=tests $(BIN)/python fuzz/atheris_link.py fuzz/corpus -max_total_time=600 -max_len=1024
 
 soak: $(COMPILED)  ## the daemon for hours: memory, latency, missed alerts

@@ -119,6 +119,7 @@ SECTIONS: dict[str, tuple[str, ...]] = {
     ),
     "soak": (
         "python fuzz/datagrams.py --count 100000",
+        "python fuzz/baselines.py --count 1000 --seed 1",
         "python benchmarks/soak.py virtual --hours 2",
         "python benchmarks/soak.py real --minutes 5",
     ),
