@@ -31,6 +31,7 @@ from mavdiag.rows.gate import Border
 from mavdiag.rows.grid import LEAST_SAMPLES, measure_grid, steps_of
 from mavdiag.rows.rates import RateSpec
 from mavdiag.telemetry import Log, Signal, Telemetry
+from mavdiag.thresholds.rule import TINY
 from mavdiag.units import NS_PER_S
 
 MOST_WAITING = 32  # chunks that may wait: time that stands still must not fill the memory (our choice)
@@ -319,7 +320,7 @@ def chain_of(baseline: Baseline, started_ns: int = 0, profile: str | None = None
     slots = tuple(
         Slot(
             one,
-            entry.threshold.within(same_session=same),
+            max(entry.threshold.within(same_session=same), TINY),  # of which there are ratios
             one.decides or alone,
             one.evidence and replace(one.evidence, arms=arms),
             entry.threshold.suspected[same],

@@ -34,6 +34,7 @@ PART_S = 10.0  # of a learnt flight, by which its spread is measured: half of th
 MOST_PARTS = 12  # of a flight: enough to see what it varies by (our choice)
 SIGNIFICANT = 5.0  # spreads (our choice)
 FAR_SPREADS = 8.0  # spreads (our choice)
+LARGEST = 300.0  # of any figure, most of which are logarithms; the ratio of two is finite (our choice)
 LATE_S = 0.03  # by which set-points are late; a circle with a crack was answered 21 ms sooner (our choice)
 FAR_TRIM = 0.04  # of the hover command, roll and pitch counting a third; recorded sessions and weights stay below 0.03
 DAMAGE_RISE = 0.025  # of the hover command: about what the rotor-trim monitor takes for a rise (our choice)
@@ -106,8 +107,8 @@ class Figure:
     spread: float
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.mean) and 0.0 < self.spread < math.inf):
-            raise InputError(f"fingerprint: {self.name} needs a finite mean and a positive, finite spread")
+        if not (abs(self.mean) < LARGEST and 0.0 < self.spread < math.inf):
+            raise InputError(f"fingerprint: {self.name} needs a mean within {LARGEST:g} and a positive, finite spread")
 
 
 @dataclass(frozen=True, slots=True)
