@@ -205,10 +205,12 @@ class Baseline(Part, Tabular):
 
     @model_validator(mode="after")
     def _fits(self) -> "Baseline":
+        known = self.airframe.layout
         for number, entry in enumerate(self.monitors):
             if not all(0 <= one < len(self.provenance.logs) for one in entry.scores.flights):
                 raise ValueError(f"monitors.{number}.scores.flights: they are no numbers of its flights")
-            if getattr(entry.spec, "layout", None) not in (None, self.airframe.layout):
+            known = known or getattr(entry.spec, "layout", None)
+            if getattr(entry.spec, "layout", None) not in (None, known):
                 raise ValueError(f"monitors.{number}.spec.layout: it is not the airframe's")
         return self
 
