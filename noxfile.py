@@ -68,10 +68,11 @@ def older(session: nox.Session) -> None:
 @nox.session
 def bounds(session: nox.Session) -> None:
     """The core part with every index of compiled code checked; in a copy, for machine code lies beside its source."""
-    folder = session.create_tmp()
-    session.run("git", "clone", "-q", ".", f"{folder}/copy", external=True)
-    with session.chdir(f"{folder}/copy"):
-        kept = {"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": f"{folder}/compiled"}
+    folder = Path(session.create_tmp()).absolute()
+    shutil.rmtree(folder / "copy", ignore_errors=True)
+    session.run("git", "clone", "-q", ".", str(folder / "copy"), external=True)
+    with session.chdir(folder / "copy"):
+        kept = {"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(folder / "compiled")}
         session.run("python", "-m", "pytest", "-m", "not realtime", *CORE, env=kept)
 
 

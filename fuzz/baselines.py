@@ -29,7 +29,7 @@ from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry
 from sitl_plant.plant import PlantConfig
 
 LONGEST_S = 20  # that one may take to load and judge 20 s of flight; more is a failure
-KEPT = {"scores", "provenance", "digest", "schema", "least_damage"}  # fields that no judgement reads
+KEPT = {"scores", "provenance", "digest", "schema", "least_damage"}  # fields that are left as they are
 Path = tuple[str | int, ...]
 
 

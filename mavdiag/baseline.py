@@ -209,8 +209,9 @@ class Baseline(Part, Tabular):
         for number, entry in enumerate(self.monitors):
             if not all(0 <= one < len(self.provenance.logs) for one in entry.scores.flights):
                 raise ValueError(f"monitors.{number}.scores.flights: they are no numbers of its flights")
-            known = known or getattr(entry.spec, "layout", None)
-            if getattr(entry.spec, "layout", None) not in (None, known):
+            layout = getattr(entry.spec, "layout", None)
+            known = known or layout
+            if layout not in (None, known):
                 raise ValueError(f"monitors.{number}.spec.layout: it is not the airframe's")
         return self
 

@@ -10,7 +10,6 @@ import zlib
 from collections.abc import Mapping
 from importlib import import_module
 from io import BytesIO
-from typing import Any
 
 import numpy as np
 
@@ -96,15 +95,11 @@ def read_matrices(data: bytes, wanted: Mapping[str, int]) -> tuple[dict[str, Flo
     return found, tuple(notes)
 
 
-def _scipy_io() -> Any:
-    """Not at the start of a program that reads no such file; and its stubs know no file but those on disk."""
-    return import_module("scipy.io")
-
-
 def _claimed(file: bytes) -> tuple[str, int, int]:
     """Name, rows and columns of the matrix of a file that holds one element; no name if it is no numeric matrix."""
     try:
-        name, (rows, columns), kind = _scipy_io().whosmat(BytesIO(file))[0]
+        # Not at the start of a program that reads no such file; and its stubs know no file but those on disk.
+        name, (rows, columns), kind = import_module("scipy.io").whosmat(BytesIO(file))[0]
         return (str(name), int(rows), int(columns)) if kind in NUMERIC and min(rows, columns) > 0 else ("", 0, 0)
     except _SCIPY_ERRORS:
         return "", 0, 0
