@@ -199,15 +199,6 @@ class Segment:
         return len(self.y)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Estimate:
-    """theta: (na + nb,), with its covariance. converged: whether the estimator's own loop settled."""
-
-    theta: FloatArray
-    covariance: FloatArray
-    converged: bool = True
-
-
 def to_segments(u: Records, y: Records, order: Order) -> tuple[Segment, ...]:
     """Pair u with y, record by record. Raises IdentificationError unless the data can carry `order`."""
     us, ys = _records(u), _records(y)
@@ -336,11 +327,11 @@ def solve(Z: FloatArray, Phi: FloatArray, target: FloatArray, tolerance: float) 
     return theta, inverse @ inverse.T
 
 
-def least_squares(segments: Sequence[Segment], order: Order) -> Estimate:
-    """Least-squares estimate over the rows of all segments: covariance = (Phi' Phi)^-1 e'e/(n - d)."""
+def least_squares(segments: Sequence[Segment], order: Order) -> tuple[FloatArray, FloatArray]:
+    """Least-squares theta over the rows of all segments, and its covariance (Phi' Phi)^-1 e'e/(n - d)."""
     stacked = np.concatenate([np.vstack(regressors(segment, order)) for segment in segments], axis=1)  # [ Phi  y ]'
     d, n = order[0] + order[1], stacked.shape[1]
     R = triangle(stacked.T)
     Phi, target = R[:, :d], R[:, d]
     theta, spread = solve(Phi, Phi, target, n * EPSILON)
-    return Estimate(theta, spread * float(np.sum((target - Phi @ theta) ** 2)) / (n - d))
+    return theta, spread * float(np.sum((target - Phi @ theta) ** 2)) / (n - d)

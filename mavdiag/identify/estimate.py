@@ -39,18 +39,12 @@ Z99 = 2.5758293035489  # deviations to both sides that hold 99 % of a normal dis
 
 def r_squared(y: FloatArray, y_sim: FloatArray) -> float:
     """R_T^2 = 1 - var(y - y_sim)/var(y), both (n,), blind to a constant offset (T 5.4)."""
-    return 1.0 - float(np.var(y - y_sim)) / _some(float(np.var(y)))
+    return 1.0 - float(np.var(y - y_sim)) / float(np.var(y))
 
 
 def nrmse_percent(y: FloatArray, y_sim: FloatArray) -> float:
     """Fit percentage 100 (1 - |y - y_sim| / |y - mean y|), both (n,) (T 4.1.3). Sees a constant offset."""
-    return 100.0 * (1.0 - float(np.linalg.norm(y - y_sim)) / _some(float(np.linalg.norm(y - np.mean(y)))))
-
-
-def _some(spread: float) -> float:
-    if spread == 0.0:
-        raise IdentificationError("y is constant; there is nothing to explain")
-    return spread
+    return 100.0 * (1.0 - float(np.linalg.norm(y - y_sim)) / float(np.linalg.norm(y - np.mean(y))))
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +65,8 @@ def free_run(model: ArxModel, segments: Sequence[Segment], settle_s: float = 0.0
     y = np.concatenate([segment.y[skip:] for segment in segments])
     if len(y) == 0:
         raise IdentificationError(f"no record is longer than the settling time of {settle_s} s; lower it")
+    if np.ptp(y) == 0.0:
+        raise IdentificationError("y is constant; there is nothing to explain")
     simulated = np.concatenate([model.simulate(segment.u)[skip:] for segment in segments])
     mse = float(np.mean((y - simulated) ** 2))
     return Validation(r_squared(y, simulated), nrmse_percent(y, simulated), mse, len(y))
@@ -148,8 +144,11 @@ def fit(
     check_excitation(segments, order)
     begin = near.theta if near is not None and near.order == order and near.stable else None
     trained = segments if followed is None else [*segments, Segment(followed, followed)]
-    estimate = sriv(trained, order, figures, begin) if method == Method.SRIV else least_squares(trained, order)
-    bare = ArxModel(*polynomials(estimate.theta, order), dt, order, Method(method))
+    if method == Method.SRIV:
+        theta, covariance, converged = sriv(trained, order, figures, begin)
+    else:
+        (theta, covariance), converged = least_squares(trained, order), True
+    bare = ArxModel(*polynomials(theta, order), dt, order, Method(method))
     if not bare.stable:
         raise IdentificationError(
             f"the identified model is unstable (pole radius {np.abs(bare.poles[0]):.4f}); lower the order, use sriv, "
@@ -157,18 +156,14 @@ def fit(
         )
     if not figures:
         return bare
-    quality, singular = free_run(bare, segments, settle_s), np.diag(estimate.covariance).min() < 0  # but for rounding
-    covariance = np.where(singular, np.nan, estimate.covariance)
+    if np.diag(covariance).min() < 0:  # but for rounding
+        covariance = np.full_like(covariance, np.nan)
+    quality = {**asdict(free_run(bare, segments, settle_s)), "samples": sum(map(len, segments))}
     with np.errstate(all="ignore"):  # a perfect fit, or a parameter of 0
-        unsure = float(np.mean(np.diag(covariance) / estimate.theta**2))
-        yic = float(np.sum(np.log(np.maximum((1.0 - quality.r2t, unsure), 0.0)))) if math.isfinite(unsure) else math.inf
-    return replace(
-        bare,
-        covariance=covariance,
-        **{**asdict(quality), "samples": sum(map(len, segments))},
-        yic=yic,
-        converged=estimate.converged,
-    )
+        unsure = float(np.mean(np.diag(covariance) / theta**2))
+        left = np.maximum((1.0 - quality["r2t"], unsure), 0.0)
+        yic = float(np.sum(np.log(left))) if math.isfinite(unsure) else math.inf
+    return replace(bare, covariance=covariance, **quality, yic=yic, converged=converged)
 
 
 @dataclass(frozen=True, slots=True)

@@ -130,38 +130,34 @@ def track(
     theta, P, loss, weight, seen = np.zeros(d), np.eye(d) * FIRST_SPREAD, 0.0, 0.0, 0
     for segment in to_segments(u, y, order):
         Phi, target = regressors(segment, order)
-        begin, lag = seen, reach(order)
-        for first in range(0, len(segment), every):
-            rows = slice(max(0, first - lag), max(0, first + every - lag))
-            for phi, measured in zip(np.ascontiguousarray(Phi[:, rows].T), target[rows].tolist(), strict=True):
-                gain, error = P @ phi, measured - float(phi @ theta)
-                gain /= forgetting + phi @ gain
-                theta = theta + gain * error
-                P = P - np.outer(gain, phi @ P)
-                P = 0.5 * (P + P.T)  # stays symmetric over millions of steps
-                if forgetting < 1.0 and float(np.max(np.diag(P))) < MOST_SPREAD:
-                    P = P / forgetting
-                weight = forgetting * weight + 1.0
-                loss += (error * (measured - float(phi @ theta)) - loss) / weight
-            seen = begin + min(first + every, len(segment))
-            if weight > d:
-                yield seen, ArxModel(*polynomials(theta, order), dt, order, Method.RLS, covariance=P * loss)
+        rows = zip(np.ascontiguousarray(Phi.T), target.tolist(), strict=True)
+        for row, (phi, measured) in enumerate(rows, start=reach(order) + 1):
+            gain, error = P @ phi, measured - float(phi @ theta)
+            gain /= forgetting + phi @ gain
+            theta = theta + gain * error
+            P = P - np.outer(gain, phi @ P)
+            P = 0.5 * (P + P.T)  # stays symmetric over millions of steps
+            if forgetting < 1.0 and float(np.max(np.diag(P))) < MOST_SPREAD:
+                P = P / forgetting
+            weight = forgetting * weight + 1.0
+            loss += (error * (measured - float(phi @ theta)) - loss) / weight
+            if weight > d and (row % every == 0 or row == len(segment)):
+                yield seen + row, ArxModel(*polynomials(theta, order), dt, order, Method.RLS, covariance=P * loss)
+        seen += len(segment)
 
 
 ASSUMED_DT_S = 0.001  # the logs were taken at 1 kHz (T 5.3); the models do not say
 
-
-def _printed(a: list[float], b: list[float], input_scale: float) -> ArxModel:
-    return ArxModel(np.array(a), np.array(b) * input_scale, ASSUMED_DT_S, (2, 2, 1), Method.PUBLISHED)
-
-
+#: By axis where the thesis prints a model, and the model from a commanded to a measured rate, both in rad/s.
 PUBLISHED = {
-    # poles 0.9985 and 0.534, gain 194 as printed
-    Axis.ROLL: ("T Eq 5.1", _printed([1.0, -1.5326, 0.5333], [0.0, 0.0743, 0.0616], 1 / 75)),
-    # poles 0.9908 and 0.9455, gain 317 as printed
-    Axis.PITCH: ("T Eq 5.2", _printed([1.0, -1.9363, 0.9368], [0.0, 0.1014, 0.0573], 1 / 298)),
+    axis: (source, ArxModel(np.array(a), np.array(b) * scale, ASSUMED_DT_S, (2, 2, 1), Method.PUBLISHED))
+    for axis, source, a, b, scale in (
+        # poles 0.9985 and 0.534, gain 194 as printed
+        (Axis.ROLL, "T Eq 5.1", (1.0, -1.5326, 0.5333), (0.0, 0.0743, 0.0616), 1 / 75),
+        # poles 0.9908 and 0.9455, gain 317 as printed
+        (Axis.PITCH, "T Eq 5.2", (1.0, -1.9363, 0.9368), (0.0, 0.1014, 0.0573), 1 / 298),
+    )
 }
-"""By axis where the thesis prints a model, and the model from a commanded to a measured rate, both in rad/s."""
 
 
 STEP = 0.01  # of a standard deviation: small enough to be linear, large enough for the root finders (our choice)

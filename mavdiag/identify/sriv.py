@@ -19,7 +19,6 @@ import numpy as np
 from mavdiag.errors import IdentificationError
 from mavdiag.identify.arx import (
     EPSILON,
-    Estimate,
     Order,
     Segment,
     filtered,
@@ -40,8 +39,10 @@ MAX_DESCENT, MAX_HALVINGS = 15, 6  # Gauss-Newton steps, and halvings of one (ou
 MAX_RADIUS = 0.99999  # reflected poles stay this far inside the unit circle (our choice)
 
 
-def sriv(segments: Sequence[Segment], order: Order, figures: bool = True, near: FloatArray | None = None) -> Estimate:
-    """SRIV estimate over all segments, started from least squares, or from a theta that is near already.
+def sriv(
+    segments: Sequence[Segment], order: Order, figures: bool = True, near: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray, bool]:
+    """SRIV theta over all segments, its covariance, and whether it settled; started from least squares, or from `near`.
 
     What does not settle is finished by Gauss-Newton steps. covariance: nan without `figures`.
     """
@@ -52,13 +53,13 @@ def sriv(segments: Sequence[Segment], order: Order, figures: bool = True, near: 
         with suppress(IdentificationError):
             point, settled = _refine(data, order, _evaluate(data, order, near))
     if not settled:
-        a, b = polynomials(least_squares(segments, order).theta, order)
+        a, b = polynomials(least_squares(segments, order)[0], order)
         first = _evaluate(data, order, np.concatenate((reflect_poles(a)[1:], b[order[2] :])))
         point, settled = _refine(data, order, first)
     if not settled:
         point, settled = _descend(data, order, point)
     covariance = _coloured(data, order, point) if figures else np.full_like(point.inverse, np.nan)
-    return Estimate(point.theta, covariance, settled)
+    return point.theta, covariance, settled
 
 
 def reflect_poles(a: FloatArray) -> FloatArray:
