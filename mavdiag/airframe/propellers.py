@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from mavdiag.airframe.balance import unbalance_g_mm
-from mavdiag.errors import UsageError
 
 
 class FaultType(StrEnum):
@@ -22,7 +21,7 @@ class FaultType(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class DamagedPropeller:
-    """One row of T Table 3.2: its mass, the "mass difference", the masses and radii of the printed sum, its result."""
+    """A row of T Table 3.2: its mass, the "mass difference", the mass at each radius of the printed sum, its result."""
 
     fault_type: FaultType
     severity: int
@@ -57,11 +56,3 @@ PROPELLERS: tuple[DamagedPropeller, ...] = (
     DamagedPropeller(_F3, 2, 7.131, 0.067, 0.034, (65.0, 50.0), 3.910),  # holes of 4 mm in Table 3.1, of 6 in the text
     DamagedPropeller(_F3, 3, 7.099, 0.099, 0.033, (65.0, 50.0, 35.0), 4.950),  # likewise
 )
-
-
-def propeller(fault_type: FaultType, severity: int) -> DamagedPropeller:
-    """Look up the row of a fault. Raises UsageError unless the severity is 1, 2 or 3."""
-    found = [row for row in PROPELLERS if (row.fault_type, row.severity) == (fault_type, severity)]
-    if not found:
-        raise UsageError(f"no severity {severity!r}: give 1, 2 or 3")
-    return found[0]

@@ -13,7 +13,7 @@ from itertools import cycle, pairwise
 import numpy as np
 
 from mavdiag.airframe.layout import RotorLayout
-from mavdiag.airframe.propellers import FaultType, propeller
+from mavdiag.airframe.propellers import PROPELLERS, FaultType
 from mavdiag.baseline import Baseline
 from mavdiag.decision.diagnosis import Stage
 from mavdiag.decision.words import OBSERVES
@@ -334,7 +334,7 @@ def severity_picture(sketch: Sketch, since_s: float | None, classifier: str | No
         raise NotDrawn("the unbalance of this flight was not measured in g mm: see the table of monitors")
     peak, lines = float(rate.longest[3]), []
     for look, kind in zip(LOOKS, FaultType, strict=False):
-        x = np.array([propeller(kind, severity).unbalance_g_mm for severity in (1, 2, 3)])
+        x = np.array([row.unbalance_g_mm for row in PROPELLERS if row.fault_type is kind])
         y = fault_classes()[kind][1][:, 0]
         lines += [Line(x, y, NAMES[kind], look), Line(x, y, "", f"{look} big", "dots")]
     lines.append(Line(np.array([unbalance]), np.array([peak]), "this flight", "star", "dots"))
