@@ -61,7 +61,7 @@ class Axis(StrEnum):
     @property
     def column(self) -> int:
         """Column of this axis in an (n, 3) array of angles or rates."""
-        return ("roll", "pitch", "yaw").index(self.value)
+        return list(Axis).index(self)
 
 
 def axis_named(name: str) -> Axis:
@@ -72,52 +72,41 @@ def axis_named(name: str) -> Axis:
 
 
 class Signal(StrEnum):
-    """What a series measures. The comment gives its columns and their unit."""
+    """What a series measures: its name, the names of its columns, and their unit, empty for a pure number."""
 
-    ATTITUDE_SETPOINT = "attitude_setpoint"  # roll, pitch, yaw [rad]
-    RATE_SETPOINT = "rate_setpoint"  # p, q, r [rad/s]
-    THRUST_SETPOINT = "thrust_setpoint"  # collective, 0..1
-    TORQUE_COMMAND = "torque_command"  # roll, pitch, yaw, -1..1 of full scale
-    BODY_RATE = "body_rate"  # p, q, r from the gyro [rad/s]
-    SPECIFIC_FORCE = "specific_force"  # x, y, z from the accelerometer [m/s^2]; (0, 0, -9.81) at rest
-    ATTITUDE = "attitude"  # roll, pitch, yaw estimate [rad]
+    columns: tuple[str, ...]  # none of outputs and rotors, of which there are as many as there are
+    unit: str
+
+    def __new__(cls, name: str, columns: str = "", unit: str = "") -> "Signal":  # noqa: D102 - see the class
+        found = str.__new__(cls, name)
+        found._value_, found.columns, found.unit = name, tuple(columns.split()), unit
+        return found
+
+    ATTITUDE_SETPOINT = "attitude_setpoint", "roll pitch yaw", "rad"
+    RATE_SETPOINT = "rate_setpoint", "roll pitch yaw", "rad/s"
+    THRUST_SETPOINT = "thrust_setpoint", "value"  # collective, 0..1
+    TORQUE_COMMAND = "torque_command", "roll pitch yaw"  # -1..1 of full scale
+    BODY_RATE = "body_rate", "roll pitch yaw", "rad/s"  # from the gyro
+    SPECIFIC_FORCE = "specific_force", "x y z", "m/s^2"  # from the accelerometer; (0, 0, -9.81) at rest
+    ATTITUDE = "attitude", "roll pitch yaw", "rad"  # estimate
     ACTUATOR = "actuator"  # one column per output, 0..1; 0 for an output that is not in use
-    ROTOR_SPEED = "rotor_speed"  # one column per rotor [rad/s], unsigned; NaN for a rotor that was never reported
-    VIBRATION = "vibration"  # x, y, z vibration level [m/s^2]
-    HEIGHT = "height"  # above take-off, up positive [m]
-    VOLTAGE = "voltage"  # battery [V]
-    ARMED = "armed"  # 0 or 1
-    MODE = "mode"  # custom_mode of HEARTBEAT, whatever the log has in its place
-    POSITION = "position"  # north, east of the autopilot's origin [m]
-    COORDINATES = "coordinates"  # latitude, longitude [rad]
+    ROTOR_SPEED = "rotor_speed", "", "rad/s"  # one column per rotor, unsigned; NaN for a rotor that was never reported
+    VIBRATION = "vibration", "x y z", "m/s^2"  # level
+    HEIGHT = "height", "value", "m"  # above take-off, up positive
+    VOLTAGE = "voltage", "value", "V"  # battery
+    ARMED = "armed", "value"  # 0 or 1
+    MODE = "mode", "value"  # custom_mode of HEARTBEAT, whatever the log has in its place
+    POSITION = "position", "north east", "m"  # from the autopilot's origin
+    COORDINATES = "coordinates", "latitude longitude", "rad"
 
     def names(self, width: int) -> tuple[str, ...]:
         """Names of its columns: axes of the body, or the number of an output or rotor."""
-        if self.width is None:
-            return tuple(str(number + 1) for number in range(width))
-        if width == 2:
-            return ("latitude", "longitude") if self is Signal.COORDINATES else ("north", "east")
-        return ("value",) if width == 1 else tuple("xyz") if _UNITS.get(self) == "m/s^2" else tuple(Axis)
+        return self.columns or tuple(str(number + 1) for number in range(width))
 
     @property
     def width(self) -> int | None:
-        """Number of its columns; None for outputs and rotors, of which there are as many as there are."""
-        return None if self in (Signal.ACTUATOR, Signal.ROTOR_SPEED) else _WIDTHS.get(self, 3)
-
-
-_UNITS = {
-    **dict.fromkeys((Signal.ATTITUDE_SETPOINT, Signal.ATTITUDE, Signal.COORDINATES), "rad"),
-    **dict.fromkeys((Signal.RATE_SETPOINT, Signal.BODY_RATE, Signal.ROTOR_SPEED), "rad/s"),
-    **dict.fromkeys((Signal.SPECIFIC_FORCE, Signal.VIBRATION), "m/s^2"),
-    **dict.fromkeys((Signal.HEIGHT, Signal.POSITION), "m"),
-    Signal.VOLTAGE: "V",
-}
-
-
-_WIDTHS = {
-    **dict.fromkeys((Signal.THRUST_SETPOINT, Signal.HEIGHT, Signal.VOLTAGE, Signal.ARMED, Signal.MODE), 1),
-    **dict.fromkeys((Signal.POSITION, Signal.COORDINATES), 2),
-}
+        """Number of its columns; None for outputs and rotors."""
+        return len(self.columns) or None
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -157,7 +146,7 @@ class Series:
     @property
     def unit(self) -> str:
         """Of the values; empty for a pure number."""
-        return _UNITS.get(self.signal, "")
+        return self.signal.unit
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
