@@ -10,6 +10,7 @@ import io
 import math
 import re
 from collections.abc import Mapping, Sequence
+from itertools import compress
 from pathlib import Path
 from typing import Annotated, Literal, Self, TypeAlias
 
@@ -34,26 +35,15 @@ DAMAGED_SHARE = 0.5  # of the rows: beyond it the map is wrong (our choice)
 STEPS_S = (1e-5, 1.0)  # between rows; others are of another unit than the map says (our choice)
 _decimal_comma = re.compile(r"\s*[+-]?\d+,\d+\s*").fullmatch
 
-SUFFIXES = (".csv", ".tsv", ".txt")
 _TIME_NS = {"s": NS_PER_S, "ms": NS_PER_MS, "us": NS_PER_US, "ns": 1}
-_SHARES = {"": 1.0, "percent": 0.01, "per mille": 1e-3}
-_ANGLE = {"rad": 1.0, "deg": DEG}
-_TURN = {"rad/s": 1.0, "deg/s": DEG, "mrad/s": 1e-3}
-_ACCELERATION = {"m/s^2": 1.0, "g": G, "mg": 1e-3 * G}
-_UNITS: Mapping[Signal, Mapping[str, float]] = {
-    Signal.ATTITUDE_SETPOINT: _ANGLE,
-    Signal.ATTITUDE: _ANGLE,
-    Signal.RATE_SETPOINT: _TURN,
-    Signal.BODY_RATE: _TURN,
-    Signal.SPECIFIC_FORCE: _ACCELERATION,
-    Signal.VIBRATION: _ACCELERATION,
-    Signal.TORQUE_COMMAND: _SHARES,
-    Signal.THRUST_SETPOINT: _SHARES,
-    Signal.ACTUATOR: _SHARES,
-    Signal.ROTOR_SPEED: {"rad/s": 1.0, "rpm": RPM, "Hz": 60 * RPM},
-    Signal.ARMED: {"": 1.0},
-    Signal.HEIGHT: {"m": 1.0},
-    Signal.VOLTAGE: {"V": 1.0, "mV": 1e-3},
+#: By the SI unit of a signal, what a column may be in instead.
+_UNITS: Mapping[str, Mapping[str, float]] = {
+    "rad": {"rad": 1.0, "deg": DEG},
+    "rad/s": {"rad/s": 1.0, "deg/s": DEG, "mrad/s": 1e-3, "rpm": RPM, "Hz": 60 * RPM},
+    "m/s^2": {"m/s^2": 1.0, "g": G, "mg": 1e-3 * G},
+    "m": {"m": 1.0},
+    "V": {"V": 1.0, "mV": 1e-3},
+    "": {"": 1.0, "percent": 0.01, "per mille": 1e-3},
 }
 
 Column: TypeAlias = Annotated[str, Field(min_length=1, max_length=200)]
@@ -79,10 +69,6 @@ class _Columns(_Part):
     columns: Annotated[tuple[Column, ...], Field(min_length=1, max_length=16)]
     unit: str = ""
 
-    def factors(self, signal: Signal) -> FloatArray:
-        signs = [-1.0 if column.startswith("-") else 1.0 for column in self.columns]
-        return np.array(signs) * _UNITS[signal][self.unit]
-
 
 class ColumnMap(_Part):
     """How a CSV file is read: its tables, those of signals as one."""
@@ -98,7 +84,7 @@ class ColumnMap(_Part):
         if Signal.BODY_RATE not in self.signals:
             raise ValueError("body_rate is missing; nothing works without the gyro")
         for signal, part in self.signals.items():
-            width, units = signal.width, _UNITS[signal]
+            width, units = signal.width, _UNITS[signal.unit]
             if part.unit not in units:
                 raise ValueError(f"{signal}.unit: {part.unit!r} is none of {', '.join(map(repr, units))}")
             if width is not None and len(part.columns) != width:
@@ -108,7 +94,7 @@ class ColumnMap(_Part):
 
 def is_csv(path: Path) -> bool:
     """Whether a file of a folder may be such a recording, by its name: its content does not tell."""
-    return path.suffix.lower() in SUFFIXES
+    return path.suffix.lower() in (".csv", ".tsv", ".txt")
 
 
 def load_column_map(path: Path) -> ColumnMap:
@@ -158,7 +144,8 @@ def read_csv(path: Path, columns: ColumnMap) -> Log:
         raise InputError(f"{path}: by the column map its rows are {step_s:.3g} s apart; check the unit of the time")
     series, first = {}, 1
     for signal, part in columns.signals.items():
-        values = table[known, first : first + len(part.columns)] * part.factors(signal)
+        signs = np.array([-1.0 if column.startswith("-") else 1.0 for column in part.columns])
+        values = table[known, first : first + len(part.columns)] * (signs * _UNITS[signal.unit][part.unit])
         first += len(part.columns)
         sound = np.isfinite(values).all(axis=1)
         if sound.any():
@@ -166,9 +153,9 @@ def read_csv(path: Path, columns: ColumnMap) -> Log:
     left_out = len(table) - (len(series[Signal.BODY_RATE]) if Signal.BODY_RATE in series else 0)
     if left_out > (1 - DAMAGED_SHARE) * len(table):
         raise InputError(f"{path}: most rows have no gyro; check the column map")
-    lost = f"{left_out} of {len(table)} rows have no sound time or no gyro and were left out" if left_out else ""
-    order = "its rows are newest first and were read in order of time" if newest_first else ""
-    notes = tuple(filter(None, (lost, order)))
+    lost = f"{left_out} of {len(table)} rows have no sound time or no gyro and were left out"
+    order = "its rows are newest first and were read in order of time"
+    notes = tuple(compress((lost, order), (left_out, newest_first)))
     digest = hashlib.sha256(data).hexdigest()
     return Log(path.name, digest, PROFILE, Telemetry(tuple(series.values())), notes=notes, motor_order=True)
 
@@ -190,22 +177,18 @@ def _table(path: Path, text: str, columns: ColumnMap) -> FloatArray:
     try:
         found = np.loadtxt(io.StringIO(body), delimiter=delimiter, usecols=places, ndmin=2, comments=None)
     except ValueError:
-        found = _cell_by_cell(body, delimiter, places)
+        rows = [row for row in csv.reader(io.StringIO(body, newline=""), delimiter=delimiter) if row]
+        found = np.array([[_number(row, place) for place in places] for row in rows]).reshape(-1, len(places))
     if columns.time.rate_hz is not None:
         return np.column_stack([np.arange(len(found)) / columns.time.rate_hz, found])
     return np.asarray(found, dtype=np.float64)
 
 
-def _cell_by_cell(body: str, delimiter: str, places: Sequence[int]) -> FloatArray:
-    def number(row: Sequence[str], place: int) -> float:
-        try:
-            return float(row[place])
-        except (ValueError, IndexError):
-            return math.nan
-
-    rows = [row for row in csv.reader(io.StringIO(body, newline=""), delimiter=delimiter) if row]
-    cells = [[number(row, place) for place in places] for row in rows]
-    return np.array(cells, dtype=np.float64).reshape(len(rows), len(places))
+def _number(row: Sequence[str], place: int) -> float:
+    try:
+        return float(row[place])
+    except (ValueError, IndexError):
+        return math.nan
 
 
 def _place(path: Path, column: str, names: Sequence[str], *, header: bool) -> int:

@@ -154,6 +154,7 @@ def test_a_counter_of_32_bits_that_begins_anew_goes_on(tmp_path: Path) -> None:
         ('[body_rate]\ncolumns = ["p", "q", "r"]\nunit = "rad/s"\n', "give the column of the time, or rate_hz"),
         (MAP.replace('"ms"', '"h"'), "time: unit: input should be 's', 'ms', 'us' or 'ns'"),
         (MAP.replace("deg/s", "deg"), "body_rate.unit: 'deg' is none of"),
+        (MAP.replace("actuator", "position"), "position.unit: 'percent' is none of 'm'"),
         (MAP.replace('"-q", ', ""), "body_rate.columns: it has 3 columns, not 2"),
         (MAP + "[speed]\ncolumns = ['v']\n", "speed: no such table"),
         (MAP.replace("[actuator]", "[actuator]\nscale = 2"), "scale: extra inputs are not permitted"),
