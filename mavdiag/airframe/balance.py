@@ -55,7 +55,9 @@ def unbalance_g_mm(mass_g: float, radius_mm: float) -> float:
 
 def permissible_unbalance_g_mm(grade: Grade, speed_rpm: float, rotor_mass_g: float) -> float:
     """U_per = e_per m [g mm] (T Eq 3.2, 3.3). The rotor is all that turns: propeller, adapter and bell."""
-    return grade.mm_s / _angular_speed(speed_rpm) * _checked("rotor mass", rotor_mass_g, "g")
+    if _checked("speed", speed_rpm, "rpm") > FASTEST_RPM:
+        raise UsageError(f"speed must be at most {FASTEST_RPM:.0e} rpm, not {speed_rpm:g}")
+    return grade.mm_s / (speed_rpm * RPM) * _checked("rotor mass", rotor_mass_g, "g")
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +98,7 @@ def assess_unbalance(
     '0.22 g mm exceeds G6.3: 1.22 x the permissible 0.18 g mm, meets G16'
     """
     permissible_g_mm = permissible_unbalance_g_mm(grade, speed_rpm, rotor_mass_g)
-    speed_rad_s = _angular_speed(speed_rpm)
+    speed_rad_s = speed_rpm * RPM
     force_n = _checked("unbalance", unbalance_g_mm, "g mm", zero=True) / G_MM_PER_KG_M * speed_rad_s**2
     specific_um, permissible_um = 1e3 * unbalance_g_mm / rotor_mass_g, 1e3 * grade.mm_s / speed_rad_s
     level = 1e-3 * specific_um * speed_rad_s
@@ -105,12 +107,6 @@ def assess_unbalance(
     met = min((one for one in Grade if level <= one.mm_s * (1.0 + BORDER)), key=lambda one: one.mm_s, default=None)
     told = (unbalance_g_mm, permissible_g_mm, specific_um, permissible_um, level)
     return BalanceReport(*told, grade, met, level / grade.mm_s, force_n)
-
-
-def _angular_speed(speed_rpm: float) -> float:
-    if _checked("speed", speed_rpm, "rpm") > FASTEST_RPM:
-        raise UsageError(f"speed must be at most {FASTEST_RPM:.0e} rpm, not {speed_rpm:g}")
-    return speed_rpm * RPM
 
 
 def _checked(name: str, value: float, unit: str, *, zero: bool = False) -> float:

@@ -74,17 +74,17 @@ def detect_layout(
         return _found(_fit(blocks, columns), columns, known)
     if len(moving) < FEWEST:
         return LayoutFinding(None, "the data carry no rotor outputs that move")
-    fit = _fit(blocks, moving)
-    found = first = _found(fit, moving, known)
-    left_out = 0.0
-    while found.layout is None and fit is not None and fit.followed.min() < MIN_F:
-        if len(moving) == FEWEST:
-            return first
-        worst = int(fit.followed.argmin())
-        left_out = max(left_out, float(fit.followed[worst]))
-        moving = [*moving[:worst], *moving[worst + 1 :]]
+    first, left_out = None, 0.0
+    while True:
         fit = _fit(blocks, moving)
         found = _found(fit, moving, known)
+        first = first or found
+        if found.layout is not None or fit is None or fit.followed.min() >= MIN_F:
+            break
+        if len(moving) == FEWEST:
+            return first
+        left_out = max(left_out, float(fit.followed.min()))
+        del moving[int(fit.followed.argmin())]
     if fit is not None and fit.followed.min() < MIN_GAP * left_out:
         reason = f"which outputs are motors is not clear, they hardly follow the {fit.driver}; fly turns"
         return LayoutFinding(None, reason, (), first.outputs)

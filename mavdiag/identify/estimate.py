@@ -5,7 +5,7 @@ goes over model orders or filter windows, the thesis's way to choose both (T 5.3
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
 from itertools import product
 from typing import TypeAlias
@@ -57,8 +57,12 @@ class Validation:
     samples: int
 
 
-def free_run(model: ArxModel, segments: Sequence[Segment], settle_s: float = 0.0) -> Validation:
-    """Simulate each segment from rest; its first `settle_s` [s] do not count. All errors are pooled (T 5.3, 5.4)."""
+def validate(model: ArxModel, u: Records, y: Records, settle_s: float = 0.0) -> Validation:
+    """Judge a model on flights: one record each of u and y, (n,), or one per flight.
+
+    Each is simulated from rest; its first `settle_s` [s] do not count. All errors are pooled (T 5.3, 5.4).
+    """
+    segments = to_segments(u, y, model.order)
     if not 0.0 <= settle_s < math.inf:
         raise IdentificationError(f"the settling time must be 0 or more, not {settle_s} s")
     skip = round(settle_s / model.dt)
@@ -70,11 +74,6 @@ def free_run(model: ArxModel, segments: Sequence[Segment], settle_s: float = 0.0
     simulated = np.concatenate([model.simulate(segment.u)[skip:] for segment in segments])
     mse = float(np.mean((y - simulated) ** 2))
     return Validation(r_squared(y, simulated), nrmse_percent(y, simulated), mse, len(y))
-
-
-def validate(model: ArxModel, u: Records, y: Records, settle_s: float = 0.0) -> Validation:
-    """Judge a model on flights it was not trained on, as `free_run`. u, y: one record each, (n,), or one per flight."""
-    return free_run(model, to_segments(u, y, model.order), settle_s)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -158,7 +157,7 @@ def fit(
         return bare
     if np.diag(covariance).min() < 0:  # but for rounding
         covariance = np.full_like(covariance, np.nan)
-    quality = {**asdict(free_run(bare, segments, settle_s)), "samples": sum(map(len, segments))}
+    quality = {**asdict(validate(bare, u, y, settle_s)), "samples": sum(map(len, segments))}
     with np.errstate(all="ignore"):  # a perfect fit, or a parameter of 0
         unsure = float(np.mean(np.diag(covariance) / theta**2))
         left = np.maximum((1.0 - quality["r2t"], unsure), 0.0)

@@ -90,27 +90,20 @@ class _Recording:
         commands, copies = (rows[self.flying].T for rows in (self.q(20, 21, 22, 23), self.q(53, 51, 49, 47)))
         self.speeds_are_certain = all(_fit(x, y)[1] > SAME for x, y in zip(commands, copies, strict=True))
 
-    def rate_setpoint(self) -> FloatArray:
-        """(n, 3) commanded body rates, which are not recorded, from what the manufacturer's cascade does [rad/s].
-
-        Roll, pitch: 12 (reference - angle) - 0.1 rate; yaw: 2 reference; each within 10 pi/3.
-        """
-        angle = 0.5 * (self.q(2, 3, 4) + self.q(11, 12, 13))
-        angle[:, 2] = 0.0
-        rate = 0.5 * (self.q(5, 6, 7) + self.q(14, 15, 16))
-        command = ANGLE_GAIN_PER_S * (self.s(9, 10, 11) - angle) - RATE_GAIN * rate
-        return np.clip(command, -MAX_RATE_RAD_S, MAX_RATE_RAD_S) * FRD
-
     def values(self) -> dict[Signal, FloatArray]:
         """Every signal in SI units. The rotors' speed only where it is certain; NaN until its first telemetry.
 
-        The recorded number of a speed is speed / (1300 rpm/V x voltage) with 12 poles.
+        Commanded rates are not recorded; the manufacturer's cascade makes them of the means of both IMUs: roll, pitch:
+        12 (reference - angle) - 0.1 rate; yaw: 2 reference; each within 10 pi/3. The recorded number of a speed is
+        speed / (1300 rpm/V x voltage) with 12 poles.
         """
         q, c, s = self.q, self.c, self.s
-        mean = 0.5 * (q(2, 3) + q(11, 12))  # of both IMUs, as the controller had it
+        mean, rate = 0.5 * (q(2, 3) + q(11, 12)), 0.5 * (q(5, 6, 7) + q(14, 15, 16))
+        error = s(9, 10, 11) - np.column_stack((mean, np.zeros(len(mean))))
+        rate_command = np.clip(ANGLE_GAIN_PER_S * error - RATE_GAIN * rate, -MAX_RATE_RAD_S, MAX_RATE_RAD_S)
         found = {
             Signal.ATTITUDE_SETPOINT: np.column_stack((s(9, 10), c(29))) * FRD,
-            Signal.RATE_SETPOINT: self.rate_setpoint(),
+            Signal.RATE_SETPOINT: rate_command * FRD,
             Signal.THRUST_SETPOINT: np.clip(s(8) / FULL_THRUST_N, 0.0, 1.0),
             Signal.TORQUE_COMMAND: s(19, 20, 21) / MAX_TORQUE_NM * FRD,  # behind its saturation
             Signal.BODY_RATE: self.rates["raw"],
@@ -163,16 +156,15 @@ def read_dronepropa(path: Path, profile: str | None = None) -> Log:
 def _check(recording: _Recording, values: Mapping[Signal, FloatArray]) -> tuple[str, ...]:
     """What could not be confirmed of the flight, one sentence each. Raises InputError if it contradicts the table."""
     flying, force = recording.flying, values[Signal.SPECIFIC_FORCE]
-    if int(flying.sum()) * recording.dt_s < MIN_FLIGHT_S:
-        _check_gravity(force)
+    short = int(flying.sum()) * recording.dt_s < MIN_FLIGHT_S
+    _check_gravity(force if short else force[flying])
+    if short:
         return (f"less than {MIN_FLIGHT_S:g} s in flight: signs and motor order could not be checked",)
-    _check_gravity(force[flying])
     order = _check_order(values[Signal.ACTUATOR][flying], values[Signal.TORQUE_COMMAND][flying])
-    notes = [*_check_gyros(recording), *order]
+    notes = (*_check_gyros(recording), *order)
     _check_references(recording, values)
-    if not recording.speeds_are_certain:
-        notes.append("rows 20 to 23 are not rows 53, 51, 49 and 47: the speeds of the ESCs were left out")
-    return tuple(notes)
+    unsure = "rows 20 to 23 are not rows 53, 51, 49 and 47: the speeds of the ESCs were left out"
+    return notes if recording.speeds_are_certain else (*notes, unsure)
 
 
 def _check_gravity(force: FloatArray) -> None:
