@@ -16,11 +16,12 @@ from mavdiag.errors import InputError, UsageError
 from mavdiag.logs.csv_columns import ColumnMap, read_csv
 from mavdiag.logs.log import LogKind, read_bytes
 from mavdiag.rows.gate import GateSpec
-from mavdiag.rows.grid import onward
-from mavdiag.telemetry import Log, Telemetry
+from mavdiag.rows.grid import LEAST_SAMPLES, onward, steps_of
+from mavdiag.telemetry import Log, Signal, Telemetry
 from mavdiag.units import NS_PER_S
 
 HEAD_BYTES = 4096
+PARTS, CHANGED = 8, 1.5  # of a log whose usual rates are compared; by more they are two rates (our choice)
 _READERS = ("dataflash", "ulog", "crazyflie", "dronepropa", "tlog", "csv_columns")  # tlog: a weak signature
 
 
@@ -65,7 +66,20 @@ def read_part(
         part = between(log.telemetry, from_s, to_s)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-    return replace(log, name=str(path), telemetry=part, started_ns=log.started_ns and log.epoch_ns + part.first_ns)
+    started_ns, notes = log.started_ns and log.epoch_ns + part.first_ns, (*log.notes, *_rate_notes(part))
+    return replace(log, name=str(path), telemetry=part, started_ns=started_ns, notes=notes)
+
+
+def _rate_notes(telemetry: Telemetry) -> tuple[str, ...]:
+    """Whether the gyro came faster in one part of a log than in another: all of it is judged by one rate."""
+    gyro = telemetry.get(Signal.BODY_RATE)
+    steps = np.empty(0) if gyro is None else steps_of(gyro.t_ns)
+    if len(steps) < PARTS * LEAST_SAMPLES:
+        return ()
+    rates_hz = [NS_PER_S / float(np.median(part)) for part in np.array_split(steps, PARTS)]
+    slow, fast = min(rates_hz), max(rates_hz)
+    told = f"the gyro comes at {slow:.0f} Hz in one part of the log and at {fast:.0f} Hz in another: cut it there"
+    return (told,) if fast > CHANGED * slow else ()
 
 
 def between(telemetry: Telemetry, from_s: float | None, to_s: float | None) -> Telemetry:
