@@ -61,26 +61,19 @@ class Trait:
     near_high: float = math.inf
     far_low: float = math.inf
     far_high: float = math.inf
-    log: bool = True  # it is a natural logarithm
-
-    def words(self, learnt: float, spread: float, seen: float) -> str:
-        """How it differs."""
-        if self.log:
-            return f"{self.name} {math.exp(seen - learnt):.2g} times the learnt"
-        if self.name == "motors":
-            return f"{seen:.0f} motors (learnt {learnt:.0f})"
-        if self.name in WIRED:
-            return f"{self.name} wired otherwise (likeness {seen:.2f}, learnt {learnt:.2f})"
-        return f"{self.name} {seen:+.3f} (learnt {learnt:+.3f} +- {spread:.3f})"
+    words: str = "{name} {times:.2g} times the learnt"  # how it differs; most are natural logarithms
 
 
-WIRED, DELAY = ("roll outputs", "pitch outputs"), "set-point delay"
+DELAY = "set-point delay"
+_PLAIN = "{name} {seen:+.3f} (learnt {learnt:+.3f} +- {spread:.3f})"
+_MOTORS = "{seen:.0f} motors (learnt {learnt:.0f})"
+_WIRED = "{name} wired otherwise (likeness {seen:.2f}, learnt {learnt:.2f})"
 _1_5, _2, _20 = map(math.log, (1.5, 2, 20))
 
 #: What `traits` gives, in this order; the limits are ours, held against recorded sessions, cuts, tape and weights.
 TRAITS = (
     # median over seconds of the trim of the rotors [fraction of hover]
-    *(Trait(f"{axis} trim", floor, log=False) for axis, floor in (("roll", 0.01), ("pitch", 0.01), ("yaw", 0.002))),
+    *(Trait(f"{axis} trim", floor, words=_PLAIN) for axis, floor in (("roll", 0.01), ("pitch", 0.01), ("yaw", 0.002))),
     # rms of second differences of gyro [rad/s] and accelerometer [m/s^2] in calm flight; better balanced propellers
     # are quieter by 7
     *(Trait(f"gyro noise {axis}", 0.1, near_low=_2, far_low=_20) for axis in "pqr"),
@@ -88,11 +81,11 @@ TRAITS = (
     # median thrust set-point; or mean output, which has a scale of its own, where there is none
     *(Trait(f"hover {what}", 0.03, math.log(1.15), math.log(1.4), _1_5) for what in ("throttle", "output")),
     # outputs that move like motors, whatever the layout; one that hangs follows no command
-    Trait("motors", 0.1, OTHER_MOTORS, OTHER_MOTORS, far_high=OTHER_MOTORS, log=False),
+    Trait("motors", 0.1, OTHER_MOTORS, OTHER_MOTORS, far_high=OTHER_MOTORS, words=_MOTORS),
     # how far roll and pitch move the outputs as the layout says, -1..1, where any order of them fits (`detect.wired`)
-    *(Trait(name, 0.05, far_low=0.65, log=False) for name in WIRED),
+    *(Trait(f"{axis} outputs", 0.05, far_low=0.65, words=_WIRED) for axis in ("roll", "pitch")),
     # how soon the rates follow the set-points [s], of the whole flight (`rows.answer`); no damage makes it less
-    Trait(DELAY, 0.003, log=False),
+    Trait(DELAY, 0.003, words=_PLAIN),
 )
 TRIM, NOISE, LEVELS, MOTORS = slice(0, 3), slice(3, 9), slice(9, 11), slice(11, 14)
 Bends: TypeAlias = tuple[FloatArray, FloatArray]  # of `_bends`
@@ -275,7 +268,9 @@ def _compared(seen: FloatArray, known: dict[str, tuple[float, float]], layout: R
         elif size >= max(trait.near_low if lower else trait.near_high, SIGNIFICANT * spread[i]):
             near_at.append(i)
     outcome = Outcome.FAR if far_at else Outcome.NEAR if near_at else Outcome.ALIKE
-    return Likeness(outcome, tuple(TRAITS[i].words(learnt[i], spread[i], seen[i]) for i in (*far_at, *near_at)))
+    rows = [(TRAITS[i], seen[i], learnt[i], spread[i], math.exp(shift[i])) for i in (*far_at, *near_at)]
+    told = (t.words.format(name=t.name, seen=x, learnt=mean, spread=sd, times=ratio) for t, x, mean, sd, ratio in rows)
+    return Likeness(outcome, tuple(told))
 
 
 def _trim_differs(shift: FloatArray, spread: FloatArray, layout: RotorLayout | None) -> tuple[bool, bool]:
