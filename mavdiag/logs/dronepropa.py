@@ -1,15 +1,8 @@
 """Recordings of the QDrone 2 in DronePropA: MATLAB files with QDrone_data, commander_data and stabilizer_data.
 
-DronePropA (Mendeley Data, 10.17632/ftdyxrr3c5.1, CC BY 4.0) holds 130 flights of three QDrone 2, healthy and with the
-thesis's nine faults, at 1 kHz. Every file is asked whether it follows the table of its rows (`_check`).
-
-Rows, from 1. The published table (Data in Brief, 10.1016/j.dib.2025.111589) names about half of them; the others follow
-from the manufacturer's public hover-test model (QD2_DroneStack_PID_2021a) and published statistics. The manufacturer's
-frame is x forward, y left, z up. Rows 20 to 23 are the commands of motors 1 to 4, numbered as in the thesis; their
-copies are rows 53, 51, 49 and 47 (the published table has 49 and 51 the other way round).
-
-BODY_RATE is the unfiltered gyro of the first IMU (rows 27 to 29), which the thesis's residual fits; the filtered one
-(rows 5 to 7) is a profile of its own. ARMED is true in the commander's state 5 only.
+docs/droneprop.md has what the rows, from 1, are taken for, and what each file is asked. The published table (Data in
+Brief, 10.1016/j.dib.2025.111589) names about half of them; the others follow from the manufacturer's public hover-test
+model (QD2_DroneStack_PID_2021a) and published statistics. The manufacturer's frame is x forward, y left, z up.
 """
 
 import hashlib
