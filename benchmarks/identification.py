@@ -25,7 +25,7 @@ from rich.table import Table
 
 from mavdiag.errors import IdentificationError
 from mavdiag.identify import fit
-from mavdiag.identify.estimate import r_squared, sweep
+from mavdiag.identify.estimate import sweep, validate
 from mavdiag.rows.rates import RateSpec
 from mavdiag.rows.savgol import coefficients
 from mavdiag.telemetry import FloatArray
@@ -83,8 +83,7 @@ def score(method: str, train: list[Roll], validation: Roll, clean: Roll) -> Scor
     except IdentificationError:
         return Score(np.nan, np.nan)
     u, y = validation.rates(WINDOW)
-    y_sim = model.simulate(u)
-    return Score(r_squared(y, y_sim), r_squared(clean.rates(WINDOW)[1], y_sim))
+    return Score(validate(model, u, y).r2t, validate(model, u, clean.rates(WINDOW)[1]).r2t)
 
 
 def noise_table(seeds: int, flight_s: float) -> tuple[Table, bool]:

@@ -37,23 +37,13 @@ LAGS = 25  # the usual depth of such tests, also MATLAB's resid default
 Z99 = 2.5758293035489  # deviations to both sides that hold 99 % of a normal distribution
 
 
-def r_squared(y: FloatArray, y_sim: FloatArray) -> float:
-    """R_T^2 = 1 - var(y - y_sim)/var(y), both (n,), blind to a constant offset (T 5.4)."""
-    return 1.0 - float(np.var(y - y_sim)) / float(np.var(y))
-
-
-def nrmse_percent(y: FloatArray, y_sim: FloatArray) -> float:
-    """Fit percentage 100 (1 - |y - y_sim| / |y - mean y|), both (n,) (T 4.1.3). Sees a constant offset."""
-    return 100.0 * (1.0 - float(np.linalg.norm(y - y_sim)) / float(np.linalg.norm(y - np.mean(y))))
-
-
 @dataclass(frozen=True, slots=True)
 class Validation:
-    """Free-run fit of a model on flights: R_T^2, fit percentage, mean squared error [unit of y squared], samples."""
+    """Free-run fit of a model on flights: of what was measured, y, and simulated, y_sim."""
 
-    r2t: float
-    nrmse_fit: float
-    mse: float
+    r2t: float  # R_T^2 = 1 - var(y - y_sim)/var(y), blind to a constant offset (T 5.4)
+    nrmse_fit: float  # 100 (1 - |y - y_sim| / |y - mean y|) [%], which sees one (T 4.1.3)
+    mse: float  # of y - y_sim [unit of y squared]
     samples: int
 
 
@@ -72,8 +62,10 @@ def validate(model: ArxModel, u: Records, y: Records, settle_s: float = 0.0) -> 
     if np.ptp(y) == 0.0:
         raise IdentificationError("y is constant; there is nothing to explain")
     simulated = np.concatenate([model.simulate(segment.u)[skip:] for segment in segments])
-    mse = float(np.mean((y - simulated) ** 2))
-    return Validation(r_squared(y, simulated), nrmse_percent(y, simulated), mse, len(y))
+    error, about_mean = y - simulated, float(np.linalg.norm(y - np.mean(y)))
+    r2t = 1.0 - float(np.var(error)) / float(np.var(y))
+    nrmse_fit = 100.0 * (1.0 - float(np.linalg.norm(error)) / about_mean)
+    return Validation(r2t, nrmse_fit, float(np.mean(error**2)), len(y))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
