@@ -59,11 +59,11 @@ def validate(model: ArxModel, u: Records, y: Records, settle_s: float = 0.0) -> 
     y = np.concatenate([segment.y[skip:] for segment in segments])
     if len(y) == 0:
         raise IdentificationError(f"no record is longer than the settling time of {settle_s} s; lower it")
-    if np.ptp(y) == 0.0:
+    if (spread := float(np.var(y))) == 0.0:
         raise IdentificationError("y is constant; there is nothing to explain")
     simulated = np.concatenate([model.simulate(segment.u)[skip:] for segment in segments])
     error, about_mean = y - simulated, float(np.linalg.norm(y - np.mean(y)))
-    r2t = 1.0 - float(np.var(error)) / float(np.var(y))
+    r2t = 1.0 - float(np.var(error)) / spread
     nrmse_fit = 100.0 * (1.0 - float(np.linalg.norm(error)) / about_mean)
     return Validation(r2t, nrmse_fit, float(np.mean(error**2)), len(y))
 
