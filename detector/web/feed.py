@@ -7,8 +7,7 @@ from collections import defaultdict, deque
 from collections.abc import Sequence
 from itertools import islice
 
-from detector.fleet import Fleet, Turn
-from detector.values import DaemonFigures
+from detector.fleet import DaemonFigures, Fleet, Turn
 from detector.web.board import KEPT, is_vehicle
 from detector.web.child import ServerProcess
 from detector.web.snapshot import BACK_S, Snapshots, Track, fleet_now, strips_of, thesis_traces
@@ -67,10 +66,9 @@ class Feed:
             for sysid in self._watched:
                 self._snapshot(fleet, sysid, now)
 
-    def show(self, fleet: Fleet, figures: DaemonFigures, now: Instant) -> None:
+    def show(self, figures: DaemonFigures, now: Instant) -> None:
         """The vehicles and links, once a second."""
-        sessions = {sysid: vehicle.session for sysid, vehicle in fleet.vehicles.items()}
-        self._put("F", json_line(fleet_now(figures, sessions, now, self._began)))
+        self._put("F", json_line(fleet_now(figures, now, self._began)))
 
     def acknowledged(self) -> list[int]:
         """The vehicles whose inspection was acknowledged on the page since the last call."""
@@ -109,7 +107,7 @@ class Feed:
         if vehicle is None:
             return
         pieces, track = self._pieces.pop(sysid, []), self._tracks[sysid]
-        told, shown = self._snapshots[sysid].next(fleet.figures_of(sysid), vehicle.session, pieces, track, now)
+        told, shown = self._snapshots[sysid].next(vehicle, pieces, track, now)
         if told is not None and not self._put(f"A {sysid}", json_line(told)):
             self._snapshots[sysid] = Snapshots()  # it is told once there is room
             return

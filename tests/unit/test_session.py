@@ -392,7 +392,7 @@ def test_h5_a_link_that_stalls_changes_no_rate() -> None:
 @pytest.mark.parametrize(("many", "looks"), [(0, 1), (26, 1), (27, 2), (53, 2), (54, 3), (80, 3), (81, 4), (255, 4)])
 def test_a_turn_brings_more_looks_where_there_are_many_vehicles(many: int, looks: int) -> None:
     fleet = Fleet(lambda sysid, profile: None, profile=None, only=None, datagrams=True)
-    fleet.vehicles = dict.fromkeys(range(many), Vehicle(SessionSpec(PROFILES["qdrone2"]), Instant(0)))
+    fleet.vehicles = dict.fromkeys(range(many), Vehicle(0, SessionSpec(PROFILES["qdrone2"]), Instant(0)))
     assert fleet.looks == looks
 
 
