@@ -359,7 +359,7 @@ class Daemon:
         for turn in turns:
             for frame in turn.asked:
                 source = self.fleet.link.source(frame.sysid, frame.compid)
-                handled = self._requests.asked(frame, turn.vehicle, trusted=self._signing is not None)
+                self._requests.ask(frame, turn.vehicle, handled := Handled(), trusted=self._signing is not None)
                 self._answer(handled, partial(self._link.answer, source=source))
             for effect in turn.effects:
                 self._act(turn.vehicle, effect)

@@ -21,8 +21,8 @@ from mavdiag.link.clock import Timesync, exchanged
 from mavdiag.link.codec import Frame
 from mavdiag.link.datagrams import Datagrams
 from mavdiag.link.messages import Component
-from mavdiag.link.profiles import Profile
 from mavdiag.link.ports import Endpoint
+from mavdiag.link.profiles import Profile
 from mavdiag.link.sequence import LinkCount, Source
 from mavdiag.link.signing import Signing
 from mavdiag.link.vehicles import VEHICLES_MAX, LinkDecoder, VehicleStream

@@ -429,11 +429,11 @@ def test_esc_telemetry_is_learnt_from_metered_and_the_weak_rotor_is_named(profil
     with closing(Bench(WATCH, baseline=baseline)) as bench:
         VirtualFlight(bench).fly(PlantConfig(seed=9, vehicle=VEHICLE, injections=(damage,)), 26.0, profile)
         (session,) = (vehicle.session for vehicle in bench.daemon.fleet.vehicles.values())
+        assert session.judge is not None
+        ratios = {slot.monitor.name: ratio for slot, ratio in session.judge.memory.ratios}
         lines = bench.host.lines
     assert any("PROP FAULT motor 3" in line for line in lines)
     assert session.streams.meters[Signal.ROTOR_SPEED].rate_hz == pytest.approx(10.0, rel=0.1)
     assert session.diagnosis.rotor == 3
-    assert session.judge is not None
-    ratios = {slot.monitor.name: ratio for slot, ratio in session.judge.memory.ratios}
     assert ratios["rotor_speed"] > 1.0
     assert "rotor_trim" in ratios

@@ -426,7 +426,6 @@ class Seen:
 
     want: Want
     hz: float
-    steady_hz: float = 0.0
 
 
 @dataclass
@@ -443,7 +442,7 @@ class Talk:
             self.ticks += 1
             now = Instant(round(self.ticks * TICK_S * 1e9))
             by_signal = {stream.want.signal: stream for stream in seen}
-            streams: Any = SimpleNamespace(rate_hz=lambda one, _, by=by_signal: by[one].hz, meters=by_signal)
+            streams: Any = SimpleNamespace(rate_hz=lambda one, _, by=by_signal: by[one].hz)
             effects, _ = self.negotiation.step([stream.want for stream in seen], streams, acks, now)
             acks = ()
             self.asked += [(self.ticks * TICK_S, int(e.parameters[0])) for e in effects if isinstance(e, SendCommand)]
