@@ -177,11 +177,7 @@ class Daemon:
         since_s, sure = host.cpu_s(), now + MOST * tick_s
 
         def has_time() -> bool:
-            nonlocal sure
-            at = self._now()
-            if at - sure >= 0:  # so much processor time takes at least as long: it is asked for again only then
-                sure = at + (LEAST * tick_s - (host.cpu_s() - since_s))
-            return at - sure < 0
+            return self._now() - sure < 0 or host.cpu_s() - since_s < LEAST * tick_s
 
         turns = self.fleet.judge(now, has_time)
         if self._flights is not None:
@@ -374,7 +370,8 @@ class Daemon:
                 airframe = replace(airframe, name=self._settings.name or airframe.name)
                 self._fitter.begin(sysid, airframe, effect, self._settings.accept)
             case Baseline():
-                self._reporter.save(sysid, effect)
+                for told in self._reporter.save(sysid, effect):
+                    self._act(sysid, told)
             case Change():
                 baseline = self.fleet.vehicles[sysid].session.baseline
                 judged_by = ("", 0) if baseline is None else (baseline.digest, baseline.propellers)

@@ -100,7 +100,8 @@ class Judged:
 
     def _moment(self) -> Moment:
         judge = self._vehicle.session.judge
-        told, shown = self._snapshots.next(self._vehicle, judge.pieces if judge else (), self._track, self._at)
+        self._snapshots.pieces.extend(judge.pieces if judge else ())
+        told, shown = self._snapshots.next(self._vehicle, self._track, self._at)
         fleet = fleet_now(DaemonFigures((self._vehicle,), ()), self._at, Instant(self.begin_ns))
         entries, self._entries = tuple(self._entries), []
         strips = json_line(shown.pop("strips"))[1:-1]

@@ -47,7 +47,8 @@ METERED = (
 )
 SLOWER = 8.0  # two steps in a row so many times the period are another rate: losses hardly make them (our choice)
 WEIGH_S, WEIGH_SAMPLES = 1.0, 20  # of the accelerometer, before its scale is believed (our choice)
-_MOST = 100_000  # samples that are kept of one measurement
+_MOST = 100_000  # samples of the accelerometer that are kept
+_PIECES = 1000  # that are kept of one measurement: a clock that stands still ends none
 
 PAUSES_S = (2.0, 2.0, 5.0, 5.0, 5.0, 30.0)  # least time to the next request after 0 (forgotten), 1, 2, ... tries
 HELD_S = 5.0  # a rate that was right for so long was met; what came of a request is told after as long (our choice)
@@ -88,25 +89,22 @@ class Meter:
         self.periods_s: tuple[float, ...] = ()  # the last two measurements: one odd second is no change of rate
         self.rate_hz = 0.0  # 0 while unknown
         self._t_ns: list[IntArray] = []  # since the last measurement
-        self._first_ns = self._waiting = 0  # the first of them, and how many they are
         self._recent_ns: list[int] = []  # vehicle times of the last three samples
 
     def take(self, series: Series, now: Instant) -> None:
         """Measure the next samples."""
         t_ns = series.t_ns
         count, recent_ns = len(t_ns), t_ns[-3:].tolist()
-        self.latest, self.samples, self._waiting = now, self.samples + count, self._waiting + count
+        self.latest, self.samples = now, self.samples + count
         self._recent_ns = recent_ns if count > 2 else [*self._recent_ns, *recent_ns][-3:]
-        if not self._t_ns:
-            self._first_ns = int(t_ns[0])
         self._t_ns.append(t_ns)
-        span_ns = recent_ns[-1] - self._first_ns
+        span_ns = recent_ns[-1] - int(self._t_ns[0][0])
         if span_ns >= MEASURE_S * NS_PER_S:
             steps = steps_of(np.concatenate(self._t_ns))
             self.periods_s = (*self.periods_s, usual_step(steps) / NS_PER_S)[-2:] if len(steps) else ()
         # Measured; or a clock that jumped back, or stands still, starts the measurement anew.
-        if not (0 <= span_ns < MEASURE_S * NS_PER_S and self._waiting <= _MOST):
-            self._t_ns, self._first_ns, self._waiting = [t_ns[-1:]], recent_ns[-1], 1
+        if not (0 <= span_ns < MEASURE_S * NS_PER_S and len(self._t_ns) <= _PIECES):
+            self._t_ns = [t_ns[-1:]]
         self.rate_hz = self._rate_hz()
 
     def _rate_hz(self) -> float:

@@ -39,6 +39,7 @@ BIN_NS = NS_PER_S // 20  # of vehicle time that one point of a strip stands for 
 DIGITS = 5
 OFF = "off"  # what the page says of a vehicle beside the stages: its session cannot do its work, or its link is lost
 BACK_S = 20.0  # that the strips show
+PIECES_MOST = 256  # that wait for a snapshot
 TRACK_POINTS = 120  # of a track, one a second: the last two minutes (our choice)
 PLACES = (Signal.POSITION, Signal.COORDINATES)
 EARTH_M = 6_371_009.0  # mean radius (IUGG)
@@ -124,32 +125,36 @@ class Track:
 
 
 class Snapshots:
-    """Makes the snapshots of one vehicle, each with what came since the last one."""
+    """Makes the snapshots of one vehicle. pieces: what its chain gave since the last one."""
 
     def __init__(self) -> None:
+        self.pieces: deque[Piece] = deque(maxlen=PIECES_MOST)
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew: what it is judged by is told again."""
         self._told: tuple[Chain | None, ...] = ()  # the chain that `about` was told of
         self._seen: dict[int, _Seen] = {}  # by number of the slot
         self._accounts: tuple[Account, ...] = ()
         self._rows: Instant | None = None  # when rows came last
 
-    def next(self, vehicle: Vehicle, pieces: Sequence[Piece], track: Track, now: Instant) -> tuple[Json | None, Json]:
-        """`about` a vehicle, None where that is as before, and the vehicle now.
-
-        pieces: what its chain gave since the last snapshot.
-        """
+    def next(self, vehicle: Vehicle, track: Track, now: Instant) -> tuple[Json | None, Json]:
+        """`about` a vehicle, None where that is as before, and the vehicle now."""
         session, judge, told = vehicle.session, vehicle.session.judge, None
         chain = None if judge is None else judge.chain
         if self._told != (chain,):
-            self._told, self._seen, self._accounts, self._rows = (chain,), {}, (), None
+            self.forget()
+            self._told = (chain,)
             told = about(vehicle.sysid, session.spec.profile.name, judge)
         slots, strips, nearest, now_ns = list[Json](), list[Json](), "", None
         since_ns = session.diagnosis.declared_ns
         if judge is not None:
-            traces = slot_traces(judge.chain, pieces)
-            self._rows = now if pieces else self._rows
+            traces = slot_traces(judge.chain, tuple(self.pieces))
+            self._rows = now if self.pieces else self._rows
             self._seen |= {number: _seen(trace, now) for number, trace in enumerate(traces) if len(trace.found)}
             slots, strips = self._slots(judge, session, now), strips_of(traces)
             self._accounts, nearest, now_ns = judge.memory.accounts, _nearest(judge, slots), judge.memory.now_ns
+        self.pieces.clear()
         known = (seen.rises for seen in self._seen.values() if seen.rises and seen.value is not None)
         rates = [(LABELS[signal], round(session.streams.meters[signal].rate_hz, 1)) for signal in METERED]
         link = {"silent_s": round(now - session.latest, 2), "rates": rates} | _picked(vehicle.timesync, "round_trip_s")

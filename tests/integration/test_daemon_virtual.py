@@ -376,6 +376,7 @@ def test_a_full_disk_leaves_the_old_baseline_and_the_watch(tmp_path: Path, monke
     bench.run(12.0)
     assert (path.read_bytes(), [one.name for one in tmp_path.iterdir()]) == (before, ["b.json"])
     assert any("baseline is not saved" in line and "No space left" in line for line in bench.host.lines)
+    assert "PROP baseline not saved, lost at the end" in texts(received(bench.far))
     assert bench.daemon.fleet.vehicles[1].session.state is State.MONITORING
     assert finds_a_fault(bench)
     bench.close()

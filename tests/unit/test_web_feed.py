@@ -27,7 +27,6 @@ from mavdiag.as_json import json_line
 from mavdiag.decision.diagnosis import Stage
 from mavdiag.errors import UsageError
 from mavdiag.judging import judge
-from mavdiag.kernel import Piece
 from mavdiag.link.profiles import PROFILES
 from mavdiag.logs import read_log
 from mavdiag.telemetry import Instant, Log, Series, Signal, Telemetry
@@ -151,11 +150,10 @@ def test_a_flight_from_waiting_to_a_fault_and_to_the_ground() -> None:
     def after(seconds: float, **how: Any) -> dict[str, Any]:
         """Fly on; the last snapshot as the page gets it."""
         for _ in range(round(seconds / 0.2)):
-            pieces = list[Piece]()
             for _ in range(2):
                 story.fly(0.1, **how)
-                pieces += story.session.judge.pieces if story.session.judge is not None else ()
-            _, shown = snapshots.next(vehicle, pieces, Track(), story.now)
+                snapshots.pieces.extend(story.session.judge.pieces if story.session.judge is not None else ())
+            _, shown = snapshots.next(vehicle, Track(), story.now)
         return dict(json.loads(json_line(shown)))
 
     first = after(0.6)
