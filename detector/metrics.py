@@ -7,7 +7,8 @@ so that who begins requests and ends none costs nothing.
 import asyncio
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
+from functools import partial
 
 from prometheus_client import CollectorRegistry, Histogram
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
@@ -68,12 +69,19 @@ class Metrics(Collector):
         text = "From the arrival of the first gyro sample that is judged at once to its verdict."
         self._latency = Histogram("mavdiag_verdict_latency_seconds", text, buckets=BOUNDS_S, registry=registry)
         registry.register(self)
+        self._page = partial(generate_latest, registry)
+        self._begun: dict[asyncio.StreamWriter, None] = {}  # connections, the oldest first
+        self._loop = asyncio.new_event_loop()
         try:
-            self._server = _Server(host, port, lambda: generate_latest(registry))
+            listening = asyncio.start_server(self._serve, host, port, limit=REQUEST_BYTES, backlog=64)
+            self._server = self._loop.run_until_complete(listening)
         except (OSError, UnicodeError) as error:
+            self._loop.close()
             reason = getattr(error, "strerror", "") or error
             raise LinkError(f"metrics on {host}:{port}: {reason}; name another --metrics HOST:PORT") from error
-        self.port, self.close = self._server.port, self._server.close  # the port that was really bound
+        self.port = int(self._server.sockets[0].getsockname()[1])  # the one that was really bound
+        self._thread = threading.Thread(target=self._loop.run_forever, name="metrics", daemon=True)
+        self._thread.start()
 
     def show(self, figures: DaemonFigures, now_ns: int) -> None:
         """Hand all figures over. now_ns: monotonic clock."""
@@ -97,6 +105,39 @@ class Metrics(Collector):
         for name, values, value in (*samples, ("figures_age_seconds", (), age_s)):
             families[name].add_metric(values, value)
         yield from families.values()
+
+    def close(self) -> None:
+        """End the server."""
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join(timeout=REQUEST_S + 1.0)
+        self._server.close()
+        while asyncio.all_tasks(self._loop):  # cancelled, they would be logged as errors
+            for writer in self._begun:
+                writer.transport.abort()
+            self._loop.run_until_complete(asyncio.sleep(0.0))
+        self._loop.close()
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        while len(self._begun) >= CONNECTIONS:
+            self._drop(next(iter(self._begun)))
+        self._begun[writer] = None
+        try:
+            async with asyncio.timeout(REQUEST_S):
+                request = await reader.readuntil(b"\r\n\r\n")
+                good = request.startswith(b"GET ")
+                status, body = ("200 OK", self._page()) if good else ("405 Method Not Allowed", b"")
+                head = f"HTTP/1.1 {status}\r\nContent-Type: {CONTENT_TYPE_LATEST}\r\nContent-Length: {len(body)}\r\n"
+                writer.write(head.encode() + b"Connection: close\r\n\r\n" + body)
+                await writer.drain()
+        except (OSError, TimeoutError, EOFError, asyncio.LimitOverrunError):
+            pass  # no request, or a reader that is gone or slow
+        finally:
+            self._drop(writer)
+
+    def _drop(self, writer: asyncio.StreamWriter) -> None:
+        if writer in self._begun:
+            del self._begun[writer]
+            writer.close()
 
 
 def _daemon(figures: DaemonFigures) -> Iterator[Sample]:
@@ -144,53 +185,3 @@ def _vehicle(vehicle: Vehicle) -> Iterator[Sample]:
         yield "timesync_round_trip_seconds", (), round_trip_s
     if vehicle.drift_ppm is not None:
         yield "clock_drift_ppm", (), vehicle.drift_ppm
-
-
-class _Server:
-    """A port that answers every GET with one page, on a thread of its own. Raises OSError if the port cannot be had."""
-
-    def __init__(self, host: str, port: int, page: Callable[[], bytes]) -> None:
-        self._page = page
-        self._begun: dict[asyncio.StreamWriter, None] = {}  # connections, the oldest first
-        self._loop = asyncio.new_event_loop()
-        try:
-            listening = asyncio.start_server(self._serve, host, port, limit=REQUEST_BYTES, backlog=64)
-            self._server = self._loop.run_until_complete(listening)
-        except (OSError, UnicodeError):
-            self._loop.close()
-            raise
-        self.port = int(self._server.sockets[0].getsockname()[1])
-        self._thread = threading.Thread(target=self._loop.run_forever, name="metrics", daemon=True)
-        self._thread.start()
-
-    def close(self) -> None:
-        self._loop.call_soon_threadsafe(self._loop.stop)
-        self._thread.join(timeout=REQUEST_S + 1.0)
-        self._server.close()
-        while asyncio.all_tasks(self._loop):  # cancelled, they would be logged as errors
-            for writer in self._begun:
-                writer.transport.abort()
-            self._loop.run_until_complete(asyncio.sleep(0.0))
-        self._loop.close()
-
-    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        while len(self._begun) >= CONNECTIONS:
-            self._drop(next(iter(self._begun)))
-        self._begun[writer] = None
-        try:
-            async with asyncio.timeout(REQUEST_S):
-                request = await reader.readuntil(b"\r\n\r\n")
-                good = request.startswith(b"GET ")
-                status, body = ("200 OK", self._page()) if good else ("405 Method Not Allowed", b"")
-                head = f"HTTP/1.1 {status}\r\nContent-Type: {CONTENT_TYPE_LATEST}\r\nContent-Length: {len(body)}\r\n"
-                writer.write(head.encode() + b"Connection: close\r\n\r\n" + body)
-                await writer.drain()
-        except (OSError, TimeoutError, EOFError, asyncio.LimitOverrunError):
-            pass  # no request, or a reader that is gone or slow
-        finally:
-            self._drop(writer)
-
-    def _drop(self, writer: asyncio.StreamWriter) -> None:
-        if writer in self._begun:
-            del self._begun[writer]
-            writer.close()
