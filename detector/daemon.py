@@ -102,7 +102,7 @@ class Daemon:
         self._by_uid = any(isinstance(whose, str) for whose in self._baselines)
         self._flights, self._uid_asked = flights, dict[int, tuple[int, list[Instant]]]()
         self._airframe, self._notifier, self._metrics, self._web = airframe, notifier or Notifier({}), metrics, web
-        self._relay = Relay(link, behind, recorder=recorder, upward=self._upward)
+        self._relay, self._recorder = Relay(link, behind, self._upward), recorder
         self._kept, self._signing = signing, None if signing is None else signing.signing
         self._announces = parse_address(settings.connect).kind in _ANNOUNCING
         self._passed: list[tuple[bytes, int]] = []
@@ -182,7 +182,9 @@ class Daemon:
         turns = self.fleet.judge(now, has_time)
         if self._flights is not None:
             self._flights.look(self._passed, self.fleet.vehicles, now, self._epoch_ns)
-        self._relay.pass_on(self._passed, self._epoch_ns)
+        if self._recorder is not None:
+            self._recorder.write(self._passed, self._epoch_ns)
+        self._relay.pass_on(self._passed)
         self._passed.clear()
         self._report_new(known)
         self._carry_out(turns)

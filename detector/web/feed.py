@@ -29,8 +29,8 @@ class Feed:
 
     def __init__(self, child: ServerProcess, began: Instant) -> None:
         self._child, self._began, self.where = child, began, child.where
-        self._entries: deque[str] = deque(maxlen=KEPT)
-        self._count, self._given = 0, 0
+        self._entries: deque[str] = deque(maxlen=KEPT)  # their lines; those that the server was not given yet
+        self._due, self._count = self._entries.copy(), 0
         self._watched: dict[int, Snapshots] = {}
         self._back: dict[int, deque[list[SlotTrace]]] = {}  # of the vehicles at which nobody looks
         self._tracks: defaultdict[int, Track] = defaultdict(Track)
@@ -39,14 +39,15 @@ class Feed:
 
     def write(self, text: str, urgent: bool = False) -> None:
         """Take an entry of the journal."""
-        self._entries.append(text)
         self._count += 1
+        for lines in (self._entries, self._due):
+            lines.append(f"J {self._count} {text}\n")
 
     def look(self, fleet: Fleet, turns: Sequence[Turn], now: Instant) -> None:
         """After each look of the daemon."""
         fresh, lines = self._child.look(now)
         if fresh:
-            self._given, self._watched = 0, {}
+            self._due, self._watched = self._entries.copy(), {}
         for line in lines:
             self._heard(line)
         for turn in turns:
@@ -90,14 +91,9 @@ class Feed:
         return self._child.put(f"{head} {content}\n".encode())
 
     def _give(self) -> None:
-        while self._given < self._count:
-            oldest = self._count - len(self._entries) + 1
-            first = max(self._given + 1, oldest)
-            batch = list(islice(self._entries, first - oldest, first - oldest + BATCH))
-            lines = "".join(f"J {number} {text}\n" for number, text in enumerate(batch, start=first))
-            if not self._child.put(lines.encode()):
-                return
-            self._given = first + len(batch) - 1
+        while self._due and self._child.put("".join(islice(self._due, BATCH)).encode()):
+            for _ in range(min(BATCH, len(self._due))):
+                self._due.popleft()
 
     def _snapshot(self, vehicle: Vehicle, snapshots: Snapshots, now: Instant) -> None:
         sysid = vehicle.sysid
