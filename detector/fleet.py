@@ -72,7 +72,7 @@ class Vehicle:
     @property
     def count(self) -> LinkCount:
         """Frames of its autopilot so far."""
-        return (self._link and self._link.count(self.sysid)) or LinkCount(0, 0, 0, 0, 0, {})
+        return LinkCount() if self._link is None else self._link.count(self.sysid)
 
     @property
     def judged_s(self) -> float:
