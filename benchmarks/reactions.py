@@ -238,14 +238,14 @@ def fly(
         plant_of = (lambda config: cast(Plant, LoopPlant(config))) if craft.in_loop else Plant
         with patch("sitl_plant.emulator.BLOCK_S", BLOCK_S), patch("sitl_plant.emulator.TICK_S", TICK_S):
             flight.fly(config, until_s, PROFILE, craft.rate_hz, stop=landed, watch=watch, plant_of=plant_of)
-        figures = bench.daemon.fleet.figures()
+        judged_s = sum(vehicle.judged_s for vehicle in bench.daemon.fleet.vehicles.values())
         bench.close()
         _read(flown, journal)
     end = last[0]
     tilt = max(abs(angle) for angle in end.attitude[-1, :2].tolist())
     flown.down = landed() and -end.position[-1, 2] < GROUND_M and tilt < UPRIGHT_RAD
     flown.flown_s = flight.t_s
-    flown.judged = sum(one.judged_s for one in figures) / max(flight.t_s, 1.0)
+    flown.judged = judged_s / max(flight.t_s, 1.0)
     return flown
 
 

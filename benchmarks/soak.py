@@ -149,7 +149,7 @@ def virtual(hours: float, cpu_s: float, rate_hz: float, seed: int) -> None:
             print(
                 f"{at_ns / NS_PER_S / 3600:.2f} h, {resident_mb():.1f} MB, {found} found, {missed} missed", flush=True
             )
-    judged_s = sum(one.judged_s for one in fleet.figures())
+    judged_s = sum(one.judged_s for one in fleet.vehicles.values())
     ran_h, spent_s = at_ns / NS_PER_S / 3600, time.process_time() - started_s
     print(
         f"{ran_h:.2f} of {hours:g} h at {rate_hz:g} Hz, {judged_s / 3600:.2f} h judged, "

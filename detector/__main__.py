@@ -40,7 +40,7 @@ from mavdiag.telemetry import Instant
 if TYPE_CHECKING:
     from detector.web.feed import Feed
 
-COMPILE_S = 3.0  # of processor time before it is said; to load what was compiled takes half a second (our choice)
+COMPILE_S = 3.0  # before it is said; to load what was compiled takes half a second (our choice)
 
 app = commandline.application("Watch vehicles over MAVLink for damaged propellers.", alone=True)
 
@@ -160,19 +160,13 @@ def _serve(settings: Settings, *, reset_stamp: bool) -> None:
 
 
 def _warm() -> None:
-    done, began_s = threading.Event(), time.process_time()
-
-    def tell() -> None:
-        while not done.wait(0.2):
-            if time.process_time() - began_s > COMPILE_S:  # a machine with much else to do does not count
-                _say("compiling what judges; only the first start after an installation does")
-                return
-
-    threading.Thread(target=tell, name="compiling", daemon=True).start()
+    telling = threading.Timer(COMPILE_S, _say, ["loading what judges; after an installation it is compiled first"])
+    telling.daemon = True
+    telling.start()
     try:
         warm()
     finally:
-        done.set()
+        telling.cancel()
 
 
 def _baselines(settings: Settings) -> tuple[Baseline | None, dict[int | str, Baseline]]:

@@ -11,7 +11,7 @@ message has no answer; one for all groups becomes requests for those that hold n
 
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from itertools import chain
 
@@ -138,13 +138,13 @@ def answer(frame: Frame, session: Session, sender: Sender, *, trusted: bool) -> 
     return [sender.encode(MessageId.PARAM_VALUE, *fields) for fields in table.told(frame)], effects
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Handled:
-    """What became of frames."""
+    """What becomes of frames."""
 
-    passed: tuple[bytes, ...] = ()  # what goes to the vehicle
-    answers: tuple[bytes, ...] = ()  # what goes back to who sent them
-    turns: tuple[Turn, ...] = ()  # effects for the daemon
+    passed: list[bytes] = field(default_factory=list)  # what goes to the vehicle
+    answers: list[bytes] = field(default_factory=list)  # what goes back to who sent them
+    turns: list[Turn] = field(default_factory=list)  # effects for the daemon
 
 
 class Requests:
@@ -167,63 +167,58 @@ class Requests:
 
         Of what is asked of a vehicle's detector `REQUESTS_MAX` at most are answered.
         """
-        some, asked, done = as_columns([(message, now.ns) for message in messages]), Counter[int](), list[Handled]()
-        frames, passed = self._decoder.take(some), list[tuple[bytes, ...]](zip(messages, strict=True))
+        some, asked, done = as_columns([(message, now.ns) for message in messages]), Counter[int](), Handled()
+        frames, passed = self._decoder.take(some), [[message] for message in messages]
         places = np.searchsorted(np.cumsum(some.sizes), frames.rows["begin"], "right")
         for place, frame in zip(places.tolist(), frames, strict=True):
             to = _STICKS_TO.get(frame.msgid)
             if to is not None and (vehicle := self._fleet.vehicles.get(frame.value(to))) is not None:
                 vehicle.sticks |= sticks_in((frame,), None)
-            if self._keep_rates and (kept := self._kept(frame)) is not None:
-                passed[place] = kept.passed
-                done.append(kept)
+            if self._keep_rates and (instead := self._kept(frame, done)) is not None:
+                passed[place] = instead
             elif (sysid := asked_of(frame)) is not None and asked[sysid] < REQUESTS_MAX:
                 asked[sysid] += 1
-                done.append(self.asked(frame, sysid))
-        joined = chain.from_iterable
-        answers, turns = joined(one.answers for one in done), joined(one.turns for one in done)
-        return Handled(tuple(joined(passed)), tuple(answers), tuple(turns))
+                self.ask(frame, sysid, done)
+        done.passed += chain.from_iterable(passed)
+        return done
 
-    def asked(self, frame: Frame, sysid: int, *, trusted: bool = True) -> Handled:
+    def ask(self, frame: Frame, sysid: int, done: Handled, *, trusted: bool = True) -> None:
         """What is asked of a vehicle's detector: parameters, messages, and the command that acknowledges.
 
         That one closes an inspection, or calls off what is about to be done.
         trusted: it comes from a link behind, or it is signed; any other sender may be forged, and changes nothing.
         """
         if sysid not in self._fleet.vehicles:
-            return Handled()
+            return
         session, sender = self._fleet.vehicles[sysid].session, self._sender(sysid)
-        command, effects, more = command_in(frame), tuple[Effect, ...](), list[bytes]()
+        command, whose, effects = command_in(frame), f"{frame.sysid}/{frame.compid}", tuple[Effect, ...]()
         changes = frame.msgid == MessageId.PARAM_SET or (command is not None and command.command == MavCmd.USER_1)
         if changes and not trusted and self._is_new(sysid, frame.sysid, frame.compid):
             what = "acknowledged" if command else "a parameter was set"
-            whose = f"{frame.sysid}/{frame.compid}"
             effects = (Note(f"{what} by {whose} on a link that is not signed: refused, it may be forged"),)
-        if command is not None:
-            result = MavResult.UNSUPPORTED
+        if command is None:
+            answers, told = answer(frame, session, sender, trusted=trusted)
+            done.answers += answers
+            effects += told
+        else:
+            version = None if changes else sender.version(command)
+            result = MavResult.DENIED if changes else MavResult.UNSUPPORTED if version is None else MavResult.ACCEPTED
             if changes and trusted:
-                whose, closes = f"{frame.sysid}/{frame.compid}", session.acknowledgeable
+                closes = session.acknowledgeable
                 again = command.confirmation > 0 and self._acknowledged.get(sysid) == whose  # the answer was lost
                 result = MavResult.ACCEPTED if closes or again else MavResult.FAILED
                 effects = () if again and not closes else session.acknowledge(whose)
                 self._acknowledged |= {sysid: whose} if closes else {}
-            elif changes:
-                result = MavResult.DENIED
-            elif (version := sender.version(command)) is not None:
-                result, more = MavResult.ACCEPTED, [version]
-            more = [sender.answer(command, result), *more]
-        else:
-            more, told = answer(frame, session, sender, trusted=trusted)
-            effects += told
-        return Handled((), tuple(more), (Turn(sysid, effects),) if effects else ())
+            done.answers += [sender.answer(command, result), *([] if version is None else [version])]
+        done.turns += [Turn(sysid, effects)] if effects else []
 
-    def _kept(self, frame: Frame) -> Handled | None:
-        """What becomes of a request for a rate that is needed here; None if it is passed on."""
+    def _kept(self, frame: Frame, done: Handled) -> list[bytes] | None:
+        """What goes to the vehicle in place of a request for a rate that is needed here; None for any other frame."""
         vehicle = _addressed(frame, self._fleet.vehicles)
         if vehicle is None:
             return None
         needed = frozenset(messages_of(self._fleet.link.vehicles[vehicle].profile).values())
-        passed, answers = list[bytes](), list[bytes]()
+        instead = list[bytes]()
         if frame.msgid == MessageId.REQUEST_DATA_STREAM:
             group = frame.value("req_stream_id")
             held = [number for number, messages in GROUPS.items() if messages & needed]
@@ -232,18 +227,17 @@ class Requests:
             if group == ALL_GROUPS:
                 rate = frame.value("req_message_rate"), frame.value("start_stop")
                 encode = partial(self._sender(vehicle).encode, frame.msgid, vehicle, Component.AUTOPILOT1)
-                passed += [encode(group, *rate) for group in GROUPS if group not in held]
+                instead = [encode(group, *rate) for group in GROUPS if group not in held]
         elif frame.value("command") != MavCmd.SET_MESSAGE_INTERVAL or frame.value("param1") not in needed:
             return None
         else:
             encoder = self._autopilots.setdefault(vehicle, Encoder(vehicle, Component.AUTOPILOT1, self._signing))
             denied = (MavCmd.SET_MESSAGE_INTERVAL, MavResult.DENIED, 0, 0, frame.sysid, frame.compid)
-            answers.append(encoder.encode(MessageId.COMMAND_ACK, *denied))
-        turns = tuple[Turn, ...]()
+            done.answers.append(encoder.encode(MessageId.COMMAND_ACK, *denied))
         if self._is_new(frame.sysid, frame.compid, frame.msgid):
             who = f"{message_name(frame.msgid)} of {frame.sysid}/{frame.compid}"
-            turns = (Turn(vehicle, (Note(f"{who} would change rates that are needed; kept back"),)),)
-        return Handled(tuple(passed), tuple(answers), turns)
+            done.turns.append(Turn(vehicle, (Note(f"{who} would change rates that are needed; kept back"),)))
+        return instead
 
     def _is_new(self, *kind: int) -> bool:
         new = kind not in self._noted and len(self._noted) < NOTED_MOST

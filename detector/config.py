@@ -72,7 +72,7 @@ CHECKS: Mapping[str, Callable[[str], object]] = {  # of settings that another mo
 class SessionSettings(BaseModel):
     """How a session works."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, coerce_numbers_to_str=True)
 
     learn: Annotated[float | None, Field(gt=0, le=LONGEST_S), _option("SECONDS", _LEARN)] = None
     negotiate: bool = True  # ask the autopilot for streams that are missing or too slow

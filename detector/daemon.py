@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from detector.component import HEALTH, Handled, Requests, Sender
 from detector.config import Settings
 from detector.fitting import ProcessFitter
-from detector.fleet import Fleet, Turn
+from detector.fleet import DaemonFigures, Fleet, Turn
 from detector.flights import Flights
 from detector.guard import Guard
 from detector.hooks import Hook
@@ -23,7 +23,7 @@ from detector.journal import Journal, Recorder, Reporter, When
 from detector.notify import Notifier
 from detector.relay import Relay
 from detector.rules import parse_rules
-from detector.values import DaemonFigures, Effect, Learn, LinkFigures, Note, SessionSpec, is_working
+from detector.values import Effect, Learn, Note, SessionSpec, is_working
 from mavdiag import __version__
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import Baseline
@@ -102,7 +102,7 @@ class Daemon:
         self._by_uid = any(isinstance(whose, str) for whose in self._baselines)
         self._flights, self._uid_asked = flights, dict[int, tuple[int, list[Instant]]]()
         self._airframe, self._notifier, self._metrics, self._web = airframe, notifier or Notifier({}), metrics, web
-        self._relay = Relay(link, behind, recorder=recorder, upward=self._upward)
+        self._relay, self._recorder = Relay(link, behind, self._upward), recorder
         self._kept, self._signing = signing, None if signing is None else signing.signing
         self._announces = parse_address(settings.connect).kind in _ANNOUNCING
         self._passed: list[tuple[bytes, int]] = []
@@ -177,16 +177,14 @@ class Daemon:
         since_s, sure = host.cpu_s(), now + MOST * tick_s
 
         def has_time() -> bool:
-            nonlocal sure
-            at = self._now()
-            if at - sure >= 0:  # so much processor time takes at least as long: it is asked for again only then
-                sure = at + (LEAST * tick_s - (host.cpu_s() - since_s))
-            return at - sure < 0
+            return self._now() - sure < 0 or host.cpu_s() - since_s < LEAST * tick_s
 
         turns = self.fleet.judge(now, has_time)
         if self._flights is not None:
             self._flights.look(self._passed, self.fleet.vehicles, now, self._epoch_ns)
-        self._relay.pass_on(self._passed, self._epoch_ns)
+        if self._recorder is not None:
+            self._recorder.write(self._passed, self._epoch_ns)
+        self._relay.pass_on(self._passed)
         self._passed.clear()
         self._report_new(known)
         self._carry_out(turns)
@@ -220,11 +218,11 @@ class Daemon:
     def figures(self) -> DaemonFigures:
         """Where it stands."""
         return DaemonFigures(
-            self.fleet.figures(),
-            tuple(LinkFigures(link.address, link.connected, link.traffic) for link in (self._link, *self._behind)),
+            tuple(self.fleet.vehicles.values()),
+            (self._link, *self._behind),
             self._late,
             self._host.cpu_s(),
-            tuple((name, file.lost) for name, file in self._files.items()),
+            {name: file.lost for name, file in self._files.items()},
             self._guard.refused,
             self.fleet.longest_s,
         )
@@ -335,12 +333,11 @@ class Daemon:
         if self._metrics is not None:
             self._metrics.show(self.figures(), self._host.now_ns())
         if self._web is not None:
-            self._web.show(self.fleet, self.figures(), now)
+            self._web.show(self.figures(), now)
         if text := self.fleet.delay_news(now):
             self._host.say(text)
-        sessions = [vehicle.session for vehicle in self.fleet.vehicles.values()]
-        states = Counter(session.state for session in sessions)
-        judged_s = sum(session.judge.judged_s for session in sessions if session.judge)
+        states = Counter(vehicle.session.state for vehicle in self.fleet.vehicles.values())
+        judged_s = sum(vehicle.judged_s for vehicle in self.fleet.vehicles.values())
         counts = ", ".join(f"{count} {state}" for state, count in sorted(states.items()))
         status = f"{counts}; {judged_s:.0f} s judged" if counts else "no vehicle was received yet"
         self._notifier.status(status, alive=is_working(states))
@@ -360,7 +357,7 @@ class Daemon:
         for turn in turns:
             for frame in turn.asked:
                 source = self.fleet.link.source(frame.sysid, frame.compid)
-                handled = self._requests.asked(frame, turn.vehicle, trusted=self._signing is not None)
+                self._requests.ask(frame, turn.vehicle, handled := Handled(), trusted=self._signing is not None)
                 self._answer(handled, partial(self._link.answer, source=source))
             for effect in turn.effects:
                 self._act(turn.vehicle, effect)
@@ -375,7 +372,8 @@ class Daemon:
                 airframe = replace(airframe, name=self._settings.name or airframe.name)
                 self._fitter.begin(sysid, airframe, effect, self._settings.accept)
             case Baseline():
-                self._reporter.save(sysid, effect)
+                for told in self._reporter.save(sysid, effect):
+                    self._act(sysid, told)
             case Change():
                 baseline = self.fleet.vehicles[sysid].session.baseline
                 judged_by = ("", 0) if baseline is None else (baseline.digest, baseline.propellers)
@@ -385,9 +383,9 @@ class Daemon:
     def _summary(self) -> str:
         ran_s = self._now() - self._started
         vehicles = (
-            f"vehicle {vehicle.vehicle} {vehicle.state}, {vehicle.received} frames, {vehicle.lost} lost on the way, "
-            f"{vehicle.judged_s:.1f} s judged, {vehicle.events} events"
-            for vehicle in self.fleet.figures()
+            f"vehicle {sysid} {vehicle.session.state}, {vehicle.count.received} frames, {vehicle.count.lost} lost on "
+            f"the way, {vehicle.judged_s:.1f} s judged, {vehicle.alarms.total()} events"
+            for sysid, vehicle in self.fleet.vehicles.items()
         )
         late = f", {self._late} looks came late, by {self._latest_s:.2f} s at most" if self._late else ""
         lost = "".join(f", {file.lost} entries lost to the {name}" for name, file in self._files.items() if file.lost)

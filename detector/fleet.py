@@ -8,22 +8,22 @@ data (`due_turns`): nothing is lost, and verdicts come later, which is told.
 
 import traceback
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import zip_longest
 from pathlib import Path
 
 from detector.session import Session
 from detector.states import State
-from detector.streams import METERED
-from detector.values import Effect, EventOpened, FitOutcome, Note, SessionSpec, VehicleFigures
+from detector.values import Effect, EventOpened, FitOutcome, Note, SessionSpec
 from mavdiag.kernel import LOOK_NS
 from mavdiag.link.clock import Timesync, exchanged
 from mavdiag.link.codec import Frame
 from mavdiag.link.datagrams import Datagrams
 from mavdiag.link.messages import Component
+from mavdiag.link.ports import Endpoint
 from mavdiag.link.profiles import Profile
-from mavdiag.link.sequence import Source
+from mavdiag.link.sequence import LinkCount, Source
 from mavdiag.link.signing import Signing
 from mavdiag.link.vehicles import VEHICLES_MAX, LinkDecoder, VehicleStream
 from mavdiag.telemetry import Instant, Series, Signal
@@ -51,9 +51,10 @@ class Turn:
 
 
 class Vehicle:
-    """One vehicle and its session."""
+    """One vehicle and its session. link: that it is on; None for a vehicle of a log."""
 
-    def __init__(self, spec: SessionSpec, now: Instant) -> None:
+    def __init__(self, sysid: int, spec: SessionSpec, now: Instant, link: LinkDecoder | None = None) -> None:
+        self.sysid, self._link = sysid, link
         self.session, self.turn = Session(spec, now), now  # turn: when it had its last one
         self.due_ns = now.ns  # when it has the next one, if there is time
         self.judged_ns: int | None = None  # the vehicle's time up to which was judged
@@ -63,6 +64,25 @@ class Vehicle:
         self.sticks: dict[tuple[int, str], int] = {}  # told by ground stations behind, until the session gets them
         self.alarms = Counter[str]()  # that were opened, by monitor
         self.timesync = Timesync()  # asked and answered where we may negotiate
+
+    def count_alarms(self, effects: Iterable[Effect]) -> None:
+        """Count the alarms that the session opened."""
+        self.alarms.update(effect.event.monitor for effect in effects if isinstance(effect, EventOpened))
+
+    @property
+    def count(self) -> LinkCount:
+        """Frames of its autopilot so far."""
+        return LinkCount() if self._link is None else self._link.count(self.sysid)
+
+    @property
+    def judged_s(self) -> float:
+        """Flight time judged by the present chain."""
+        return self.session.judge.judged_s if self.session.judge else 0.0
+
+    @property
+    def drift_ppm(self) -> float | None:
+        """Drift of the first clock of its messages against another; None if they have one clock."""
+        return None if self._link is None else self._link.vehicles[self.sysid].state.timeline.drift_ppm
 
     def wait(self, gyro: Series | None, now_ns: int, looks: int) -> float | None:
         """Set the next turn, once samples may complete so many looks; return how long those judged now took [s].
@@ -82,6 +102,19 @@ class Vehicle:
             self.first_ns = None
         self.judged_ns = judge.memory.now_ns
         return latency_s
+
+
+@dataclass(frozen=True, slots=True)
+class DaemonFigures:
+    """The daemon at a moment; counts so far."""
+
+    vehicles: Sequence[Vehicle]
+    links: Sequence[Endpoint]  # the vehicle's, then those behind
+    late: int = 0  # looks at the links that came too late
+    cpu_s: float = 0.0
+    lost_entries: Mapping[str, int] = field(default_factory=dict)  # what could not be written to each file, by option
+    refused: tuple[tuple[str, int], ...] = ()  # frames of the vehicle's link that were not heard, by cause
+    delay_s: float = 0.0  # longest that a vehicle waited for its turn lately, because there was much to do
 
 
 def due_turns(
@@ -161,7 +194,7 @@ class Fleet:
         if spec is None:
             self.vehicles.pop(sysid, None)
         elif old is None or old.session.spec.baseline is not spec.baseline:
-            self.vehicles[sysid] = Vehicle(spec, now)
+            self.vehicles[sysid] = Vehicle(sysid, spec, now, self.link)
             self.vehicles[sysid].session.reboots = stream.state.timeline.reboots
 
     def judge(self, now: Instant, has_time: Callable[[], bool] = lambda: True) -> list[Turn]:
@@ -213,7 +246,7 @@ class Fleet:
             received = replace(received, sticks={**received.sticks, **vehicle.sticks})
         vehicle.outcome, vehicle.sticks = None, {}
         effects = session.step(received, now, outcome)
-        vehicle.alarms.update(effect.event.monitor for effect in effects if isinstance(effect, EventOpened))
+        vehicle.count_alarms(effects)
         if session.spec.settings.negotiate:
             vehicle.timesync, messages = exchanged(vehicle.timesync, received.frames, now.ns, alive=received.alive)
             effects = (*effects, *messages)
@@ -232,27 +265,3 @@ class Fleet:
             where = f"{Path(place.filename).name}:{place.lineno}"
             note = Note(f"watching vehicle {sysid} ended by an error of the program: {error!r} at {where}")
             return Turn(sysid, (note, *effects) if effects else ())
-
-    def figures(self) -> tuple[VehicleFigures, ...]:
-        """Where every vehicle stands."""
-        return tuple(self.figures_of(sysid) for sysid in self.vehicles)
-
-    def figures_of(self, sysid: int) -> VehicleFigures:
-        """Where one vehicle stands."""
-        vehicle, count = self.vehicles[sysid], self.link.count(sysid)
-        session, judge = vehicle.session, vehicle.session.judge
-        ratios = judge.memory.ratios if judge else ()
-        return VehicleFigures(
-            sysid,
-            session.state,
-            received=count.received if count else 0,
-            lost=count.lost if count else 0,
-            judged_s=judge.judged_s if judge else 0.0,
-            alarms=vehicle.alarms.copy(),
-            flight_s=judge.flight_s if judge else 0.0,
-            rates=tuple((signal.value, session.streams.meters[signal].rate_hz) for signal in METERED),
-            ratios=tuple((slot.monitor.name, slot.monitor.axis or "", ratio) for slot, ratio in ratios),
-            timesync=vehicle.timesync,
-            drift_ppm=self.link.vehicles[sysid].state.timeline.drift_ppm,
-            diagnosis=session.diagnosis,
-        )

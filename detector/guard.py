@@ -76,7 +76,7 @@ class Guard:
             (intruder, impostor), count = link.strangers(sysid), link.count(sysid)
             counts[f"in the name of vehicle {sysid} from elsewhere"] = intruder.frames if intruder else 0
             counts[f"in our own name {sysid}/{OURS}"] = impostor.frames if impostor else 0
-            counts[f"in the name of vehicle {sysid} with the number of another frame"] = count.clashes if count else 0
+            counts[f"in the name of vehicle {sysid} with the number of another frame"] = count.clashes
             counts[f"of vehicle {sysid} whose stamps leap"] = stream.state.timeline.leaps
         signatures = {} if self._signing is None else self._signing.refused
         return (*(entry for entry in counts.items() if entry[1]), *((str(cause), n) for cause, n in signatures.items()))
@@ -89,7 +89,6 @@ class Guard:
     def _second(self, sysid: int, known: _Known) -> Iterable[Effect]:
         (intruder, impostor), count = self._link.strangers(sysid), self._link.count(sysid)
         source, timeline = self._link.source(sysid), self._link.vehicles[sysid].state.timeline
-        leaps = timeline.leaps
         heard_ns = self._link.decoder.heard.heard_ns(sysid << 8 | AUTOPILOT)
         refused = intruder.frames if intruder else 0
         if known.source not in (None, source):
@@ -104,15 +103,14 @@ class Guard:
         if impostor is not None and known.news("ours"):
             yield Note(f"{_address(impostor.source)} sends as {sysid}/{OURS}, which is this detector; it is not heard")
             yield SendText(Severity.WARNING, f"PROP another sender as {sysid}/{OURS}, not heard")
-        if count is not None:
-            yield from self._numbers(sysid, known, count)
+        yield from self._numbers(sysid, known, count)
         if timeline.backs and known.news("clock"):
             yield Note(f"the clock of vehicle {sysid} was set back: its monitors begin anew there")
             yield SendText(Severity.WARNING, "PROP clock of the vehicle was set back")
-        if leaps >= LEAPS and leaps >= 10 * known.leaps:
-            known.leaps = leaps
-            yield Note(f"vehicle {sysid}: stamps that leap: {leaps} dropped; another sender?")
-            yield SendText(Severity.WARNING, f"PROP stamps leap: {leaps} dropped; two senders?")
+        if timeline.leaps >= LEAPS and timeline.leaps >= 10 * known.leaps:
+            known.leaps = timeline.leaps
+            yield Note(f"vehicle {sysid}: stamps that leap: {known.leaps} dropped; another sender?")
+            yield SendText(Severity.WARNING, f"PROP stamps leap: {known.leaps} dropped; two senders?")
 
     def _numbers(self, sysid: int, known: _Known, count: LinkCount) -> Iterable[Effect]:
         contrary = self._link.vehicles[sysid].state.contrary

@@ -21,6 +21,7 @@ import stat
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
+from math import inf
 from pathlib import Path
 from typing import BinaryIO
 
@@ -31,6 +32,7 @@ from mavdiag.baseline import Baseline
 from mavdiag.decision.alarm import Change, Event, Stage
 from mavdiag.errors import UsageError
 from mavdiag.link.messages import Severity
+from mavdiag.logs.tlog import tlog_record
 from mavdiag.storage import begins, check_apart, check_writable, leave_room
 from mavdiag.units import NS_PER_S, NS_PER_US
 
@@ -111,17 +113,17 @@ def older(path: Path, number: int) -> Path:
 class Appender:
     """A file that is appended to, each entry whole at once. It has one writer; a pipe that is full loses entries.
 
-    warn: called once when writing begins to fail, and once when it works again. limit_mb: size that it does not exceed;
-    None for no limit. keep: how many old ones stay. Raises UsageError if the file cannot be opened.
+    warn: called once when writing begins to fail, and once when it works again. limit_mb: size that it does not exceed.
+    keep: how many old ones stay. Raises UsageError if the file cannot be opened.
     """
 
     option: str  # of the command line, that names it
     after_torn = b""  # goes before an entry if the last one was torn
     leaves_room = False  # whether it is not written where the disk is nearly full
 
-    def __init__(self, path: Path, warn: Callable[[str], None], limit_mb: float | None = None, keep: int = 0) -> None:
+    def __init__(self, path: Path, warn: Callable[[str], None], limit_mb: float = inf, keep: int = 0) -> None:
         self._path, self._name, self._warn = path, f"{self.option.removeprefix('--')} {path}", warn
-        self._limit_bytes, self._keep = float("inf") if limit_mb is None else limit_mb * MB, keep
+        self._limit_bytes, self._keep = limit_mb * MB, keep
         try:
             self._file = self._open()
         except OSError as error:
@@ -232,15 +234,13 @@ class Recorder(Appender):
 
     option, leaves_room = "--record", True
 
-    def __init__(self, path: Path, warn: Callable[[str], None], limit_mb: float | None = None, keep: int = 0) -> None:
-        from mavdiag.logs.tlog import tlog_record  # only with a recording: it brings the readers of logs
-
+    def __init__(self, path: Path, warn: Callable[[str], None], limit_mb: float = inf, keep: int = 0) -> None:
         super().__init__(path, warn, limit_mb, keep)
-        self._record, self._records = tlog_record, list[bytes]()
+        self._records = list[bytes]()
 
     def write(self, frames: Iterable[tuple[bytes, int]], epoch_ns: int) -> None:
         """Take frames, each with its time of arrival [ns]; `flush` appends them. epoch_ns: makes it unix time."""
-        self._records += [self._record((epoch_ns + host_ns) // NS_PER_US, frame) for frame, host_ns in frames]
+        self._records += [tlog_record((epoch_ns + host_ns) // NS_PER_US, frame) for frame, host_ns in frames]
 
     def flush(self) -> None:
         """Append what was taken since the last call; a reader skips what was torn."""
@@ -302,20 +302,23 @@ class Reporter:
         for take in self._takers:
             take(mark(kind, self._when(None), content), False)
 
-    def save(self, sysid: int, baseline: Baseline) -> None:
-        """Keep a learned baseline: the first vehicle's under the name asked for, another's with its id in it."""
+    def save(self, sysid: int, baseline: Baseline) -> tuple[Record, ...]:
+        """Keep a learned baseline, the first vehicle's under the name asked for, another's with its id in it.
+
+        Returns what is to be told of it.
+        """
         path = self._path
         if path is None:
-            return
+            return ()
         if path.exists() and self._saved.get(sysid) != path:
             path = path.with_stem(f"{path.stem}-{sysid}")
         self._saved[sysid] = path
         try:
             baseline.save(path)
         except UsageError as error:
-            self.record(sysid, Note(f"the baseline is not saved: {error}"))
-        else:
-            self.record(sysid, Note(f"baseline saved to {path}"))
+            text = SendText(Severity.WARNING, "PROP baseline not saved, lost at the end")
+            return Note(f"the baseline is not saved: {error}"), text
+        return (Note(f"baseline saved to {path}"),)
 
 
 def kept_baselines(path: Path) -> dict[int, Baseline]:

@@ -7,16 +7,18 @@ so that who begins requests and ends none costs nothing.
 import asyncio
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
+from functools import partial
 
 from prometheus_client import CollectorRegistry, Histogram
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.exposition import CONTENT_TYPE_LATEST, generate_latest
 from prometheus_client.registry import Collector
 
-from detector.fleet import Turn
+from detector.fleet import DaemonFigures, Turn, Vehicle
 from detector.states import State
-from detector.values import DaemonFigures, VehicleFigures, is_working
+from detector.streams import METERED
+from detector.values import is_working
 from mavdiag.decision.diagnosis import Stage
 from mavdiag.errors import LinkError
 from mavdiag.units import NS_PER_S
@@ -62,21 +64,28 @@ class Metrics(Collector):
 
     def __init__(self, host: str, port: int) -> None:
         # All figures of a moment, and that moment (monotonic clock); nothing changes them.
-        self._shown: tuple[DaemonFigures, int] | None = None
+        self._shown: tuple[list[Sample], int] | None = None
         registry = CollectorRegistry()
         text = "From the arrival of the first gyro sample that is judged at once to its verdict."
         self._latency = Histogram("mavdiag_verdict_latency_seconds", text, buckets=BOUNDS_S, registry=registry)
         registry.register(self)
+        self._page = partial(generate_latest, registry)
+        self._begun: dict[asyncio.StreamWriter, None] = {}  # connections, the oldest first
+        self._loop = asyncio.new_event_loop()
         try:
-            self._server = _Server(host, port, lambda: generate_latest(registry))
+            listening = asyncio.start_server(self._serve, host, port, limit=REQUEST_BYTES, backlog=64)
+            self._server = self._loop.run_until_complete(listening)
         except (OSError, UnicodeError) as error:
+            self._loop.close()
             reason = getattr(error, "strerror", "") or error
             raise LinkError(f"metrics on {host}:{port}: {reason}; name another --metrics HOST:PORT") from error
-        self.port, self.close = self._server.port, self._server.close  # the port that was really bound
+        self.port = int(self._server.sockets[0].getsockname()[1])  # the one that was really bound
+        self._thread = threading.Thread(target=self._loop.run_forever, name="metrics", daemon=True)
+        self._thread.start()
 
     def show(self, figures: DaemonFigures, now_ns: int) -> None:
         """Hand all figures over. now_ns: monotonic clock."""
-        self._shown = (figures, now_ns)
+        self._shown = (list(_daemon(figures)), now_ns)
 
     def observe(self, turns: Iterable[Turn]) -> None:
         """Count how long what was judged waited."""
@@ -88,81 +97,17 @@ class Metrics(Collector):
         """All figures, as Prometheus asks for them (from its own thread)."""
         if self._shown is None:
             return
-        figures, at_ns = self._shown
+        samples, at_ns = self._shown
         families: dict[str, GaugeMetricFamily | CounterMetricFamily] = {}
         families |= {name: GaugeMetricFamily(f"mavdiag_{name}", text, labels=of) for name, (text, of) in GAUGES.items()}
         families |= {n: CounterMetricFamily(f"mavdiag_{n}", text, labels=of) for n, (text, of) in COUNTERS.items()}
         age_s = (time.monotonic_ns() - at_ns) / NS_PER_S
-        for name, values, value in _daemon(figures, age_s):
+        for name, values, value in (*samples, ("figures_age_seconds", (), age_s)):
             families[name].add_metric(values, value)
         yield from families.values()
 
-
-def _daemon(figures: DaemonFigures, age_s: float) -> Iterator[Sample]:
-    yield "session_working", (), is_working([vehicle.state for vehicle in figures.vehicles])
-    yield "figures_age_seconds", (), age_s
-    yield "late_ticks", (), figures.late
-    yield "cpu_seconds", (), figures.cpu_s
-    yield "datagrams_overflowed", (), figures.links[0].traffic.overflowed
-    yield "turn_delay_seconds", (), figures.delay_s
-    for file, count in figures.lost_entries:
-        yield "entries_lost", (file,), count
-    for cause, count in figures.refused:
-        yield "frames_refused", (cause,), count
-    for number, link in enumerate(figures.links):
-        label = ("vehicle" if number == 0 else f"behind {number} {link.address}",)
-        yield "link_connected", label, link.connected
-        yield "link_sent", label, link.traffic.sent
-        yield "link_dropped", label, link.traffic.dropped
-    for vehicle in figures.vehicles:
-        for name, labels, value in _vehicle(vehicle):
-            yield name, (str(vehicle.vehicle), *labels), value
-
-
-def _vehicle(vehicle: VehicleFigures) -> Iterator[Sample]:
-    held, timesync = vehicle.diagnosis, vehicle.timesync
-    for state in State:
-        yield "state", (state.value,), state is vehicle.state
-    for stage in Stage:
-        yield "verdict", (stage.value,), stage is held.stage
-    if held.kind is not None:
-        for rotor in dict.fromkeys(span.rotor for span in held.rotors) or ("",):
-            yield "fault", (held.kind, str(rotor)), held.seen and rotor in (held.rotor, "")
-    yield "frames_received", (), vehicle.received
-    yield "frames_lost", (), vehicle.lost
-    for stream, hertz in vehicle.rates:
-        yield "stream_hertz", (stream,), hertz
-    yield "judged_seconds", (), vehicle.judged_s
-    if vehicle.flight_s > 0:
-        yield "judged_share", (), min(1.0, vehicle.judged_s / vehicle.flight_s)
-    for monitor, count in vehicle.alarms.items():
-        yield "events", (monitor,), count
-    for monitor, axis, ratio in vehicle.ratios:
-        yield "statistic_ratio", (monitor, axis), ratio
-    if timesync.round_trip_s is not None:
-        yield "timesync_round_trip_seconds", (), timesync.round_trip_s
-    if vehicle.drift_ppm is not None:
-        yield "clock_drift_ppm", (), vehicle.drift_ppm
-
-
-class _Server:
-    """A port that answers every GET with one page, on a thread of its own. Raises OSError if the port cannot be had."""
-
-    def __init__(self, host: str, port: int, page: Callable[[], bytes]) -> None:
-        self._page = page
-        self._begun: dict[asyncio.StreamWriter, None] = {}  # connections, the oldest first
-        self._loop = asyncio.new_event_loop()
-        try:
-            listening = asyncio.start_server(self._serve, host, port, limit=REQUEST_BYTES, backlog=64)
-            self._server = self._loop.run_until_complete(listening)
-        except (OSError, UnicodeError):
-            self._loop.close()
-            raise
-        self.port = int(self._server.sockets[0].getsockname()[1])
-        self._thread = threading.Thread(target=self._loop.run_forever, name="metrics", daemon=True)
-        self._thread.start()
-
     def close(self) -> None:
+        """End the server."""
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join(timeout=REQUEST_S + 1.0)
         self._server.close()
@@ -193,3 +138,50 @@ class _Server:
         if writer in self._begun:
             del self._begun[writer]
             writer.close()
+
+
+def _daemon(figures: DaemonFigures) -> Iterator[Sample]:
+    yield "session_working", (), is_working([vehicle.session.state for vehicle in figures.vehicles])
+    yield "late_ticks", (), figures.late
+    yield "cpu_seconds", (), figures.cpu_s
+    yield "datagrams_overflowed", (), figures.links[0].traffic.overflowed
+    yield "turn_delay_seconds", (), figures.delay_s
+    for file, count in figures.lost_entries.items():
+        yield "entries_lost", (file,), count
+    for cause, count in figures.refused:
+        yield "frames_refused", (cause,), count
+    for number, link in enumerate(figures.links):
+        label = ("vehicle" if number == 0 else f"behind {number} {link.address}",)
+        yield "link_connected", label, link.connected
+        yield "link_sent", label, link.traffic.sent
+        yield "link_dropped", label, link.traffic.dropped
+    for vehicle in figures.vehicles:
+        for name, labels, value in _vehicle(vehicle):
+            yield name, (str(vehicle.sysid), *labels), value
+
+
+def _vehicle(vehicle: Vehicle) -> Iterator[Sample]:
+    session, count, round_trip_s = vehicle.session, vehicle.count, vehicle.timesync.round_trip_s
+    held, judge = session.diagnosis, session.judge
+    for state in State:
+        yield "state", (state.value,), state is session.state
+    for stage in Stage:
+        yield "verdict", (stage.value,), stage is held.stage
+    if held.kind is not None:
+        for rotor in dict.fromkeys(span.rotor for span in held.rotors) or ("",):
+            yield "fault", (held.kind, str(rotor)), held.seen and rotor in (held.rotor, "")
+    yield "frames_received", (), count.received
+    yield "frames_lost", (), count.lost
+    for signal in METERED:
+        yield "stream_hertz", (signal.value,), session.streams.meters[signal].rate_hz
+    yield "judged_seconds", (), vehicle.judged_s
+    if judge is not None and judge.flight_s > 0:
+        yield "judged_share", (), min(1.0, judge.judged_s / judge.flight_s)
+    for monitor, alarms in vehicle.alarms.items():
+        yield "events", (monitor,), alarms
+    for slot, ratio in judge.memory.ratios if judge else ():
+        yield "statistic_ratio", (slot.monitor.name, slot.monitor.axis or ""), ratio
+    if round_trip_s is not None:
+        yield "timesync_round_trip_seconds", (), round_trip_s
+    if vehicle.drift_ppm is not None:
+        yield "clock_drift_ppm", (), vehicle.drift_ppm

@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import groupby
 from operator import itemgetter
 
-from detector.journal import Recorder
 from mavdiag.link.codec import split_frames
 from mavdiag.link.ports import Endpoint
 from mavdiag.link.sequence import Source
@@ -31,26 +30,22 @@ def packed(frames: Iterable[bytes]) -> Iterator[bytes]:
 class Relay:
     """Between the vehicle's link and the links behind the daemon.
 
-    recorder: a file that gets what the vehicle's link brings. upward: sees what a link behind brought, and returns what
-    of it goes to the vehicle.
+    upward: sees what a link behind brought, and returns what of it goes to the vehicle.
     """
 
     def __init__(
         self,
         main: Endpoint,
         behind: Sequence[Endpoint],
-        recorder: Recorder | None = None,
         upward: Callable[[list[bytes], Endpoint], Iterable[bytes]] = lambda frames, behind: frames,
     ) -> None:
-        self._main, self._behind, self._recorder, self._upward = main, tuple(behind), recorder, upward
+        self._main, self._behind, self._upward = main, tuple(behind), upward
         self._begun = [b""] * len(self._behind)  # of a frame whose rest has not come from a byte stream
         # Frames of our own that wait; whether they are for everybody; which sender of the vehicle's link they are for.
         self._own: list[tuple[bytes, bool, Source]] = []
 
-    def pass_on(self, frames: Sequence[tuple[bytes, int]], epoch_ns: int = 0) -> None:
-        """Pass frames, each with its time of arrival [ns], on, and back what comes. epoch_ns: makes it unix time."""
-        if self._recorder is not None:
-            self._recorder.write(frames, epoch_ns)
+    def pass_on(self, frames: Sequence[tuple[bytes, int]]) -> None:
+        """Pass frames, each with its time of arrival [ns], on, and back what comes."""
         for message in packed(frame for frame, _ in frames) if self._behind else ():
             for endpoint in self._behind:
                 endpoint.send(message)

@@ -6,7 +6,6 @@ is kept for every 0.2 s. That goes on as fast as it can, while the page plays, s
 
 import time
 from bisect import bisect_right
-from collections import Counter
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -18,10 +17,9 @@ from typing import Any
 import numpy as np
 
 from detector.config import SessionSettings, page_address
+from detector.fleet import DaemonFigures, Vehicle
 from detector.journal import Reporter, When
-from detector.session import Session
-from detector.streams import METERED
-from detector.values import DaemonFigures, EventOpened, SessionSpec, VehicleFigures
+from detector.values import SessionSpec
 from detector.web.access import Access
 from detector.web.child import ServerProcess, read_token
 from detector.web.snapshot import BACK_S, Snapshots, Track, fleet_now
@@ -78,9 +76,9 @@ class Judged:
         profile = replace(PROFILES["qdrone2"], name=log.profile or baseline.link.profile)
         settings = SessionSettings(negotiate=False, min_rate_hz=LEAST_HZ)
         spec = SessionSpec(profile, suited(baseline, log), settings, offset_ns)
-        self._session = Session(spec, Instant(self.begin_ns))
+        self._vehicle = Vehicle(vehicle, spec, Instant(self.begin_ns))
         self._steps = in_pieces(log.telemetry, max(1, round(STEP_S / baseline.link.dt_s)))
-        self._snapshots, self._track, self._entries, self._alarms = Snapshots(), Track(), list[str](), Counter[str]()
+        self._snapshots, self._track, self._entries = Snapshots(), Track(), list[str]()
         self._at, self._utc = Instant(self.begin_ns), offset_ns / NS_PER_S
         self._reporter = Reporter([lambda text, _: self._entries.append(text)], lambda _: None, self._when, None)
 
@@ -90,24 +88,21 @@ class Judged:
     def go_on(self) -> None:
         """Judge the next step of the log."""
         telemetry = next(self._steps, None)
-        session, self.done = self._session, telemetry is None
+        session, self.done = self._vehicle.session, telemetry is None
         ends = [int(series.t_ns[-1]) for series in telemetry or () if len(series)]
         self._at = max(self._at, Instant(max(ends, default=0)))
         self._track.take(telemetry or Telemetry())
         effects = session.finish() if telemetry is None else session.step(Received(telemetry, alive=True), self._at)
-        self._alarms.update(effect.event.monitor for effect in effects if isinstance(effect, EventOpened))
+        self._vehicle.count_alarms(effects)
         for effect in effects:
             self._reporter.record(self.vehicle, effect)
         self.moments.append(self._moment())
 
     def _moment(self) -> Moment:
-        session, judge = self._session, self._session.judge
-        spans = (judge.judged_s, judge.flight_s) if judge else (0.0, 0.0)
-        rates = tuple((signal.value, session.streams.meters[signal].rate_hz) for signal in METERED)
-        figures = VehicleFigures(self.vehicle, session.state, 0, 0, spans[0], self._alarms.copy(), spans[1], rates)
-        told, shown = self._snapshots.next(figures, session, judge.pieces if judge else (), self._track, self._at)
-        everything, began = DaemonFigures((figures,), (), 0, 0.0), Instant(self.begin_ns)
-        fleet = fleet_now(everything, {self.vehicle: session}, self._at, began)
+        judge = self._vehicle.session.judge
+        self._snapshots.pieces.extend(judge.pieces if judge else ())
+        told, shown = self._snapshots.next(self._vehicle, self._track, self._at)
+        fleet = fleet_now(DaemonFigures((self._vehicle,), ()), self._at, Instant(self.begin_ns))
         entries, self._entries = tuple(self._entries), []
         strips = json_line(shown.pop("strips"))[1:-1]
         about = None if told is None else json_line(told)

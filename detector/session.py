@@ -11,7 +11,7 @@ from detector.judging import Judge, beginning, chain_for, records_of, words_of
 from detector.reaction import Reaction
 from detector.rules import parse_modes, parse_rules
 from detector.states import TABLE, State, Trigger
-from detector.streams import CALM_S, Demand, Hindrance, Negotiation, Reason, Streams
+from detector.streams import Demand, Hindrance, Negotiation, Reason, Streams
 from detector.values import AskParameters, Effect, FitOutcome, Learn, Note, SessionSpec, StateChanged
 from mavdiag.airframe.fingerprint import Outcome
 from mavdiag.baseline import check_link
@@ -28,7 +28,7 @@ from mavdiag.link.wants import Reading, telling
 from mavdiag.telemetry import Instant, Signal, Telemetry
 
 WAITED_CHUNKS = 256  # kept while the streams are measured: some ten seconds (our choice)
-LOOK_S = 0.1  # between two looks at what the streams lack (our choice)
+LOOK_S = 0.5  # between two looks at what the streams lack (our choice)
 IDLE_S = 3.0  # that nothing is judged is said after so long (our choice)
 # How often a pilot's sticks are asked for until they are told, and their rate (our choice).
 STICKS_S, STICKS_HZ = 60.0, 5.0
@@ -60,7 +60,7 @@ class Session:
         self.came = Telemetry()  # with the last step
         self._gyro = message_name(spec.profile.imu)  # what its gyro is read from, as told last
         self._outcome: FitOutcome | None = None
-        self._looked, self._changes = Instant(0), 0  # when it was asked what the streams lack; rates changed by then
+        self._looked = Instant(0)  # when it was asked what the streams lack
         self._unjudged: dict[str, str] = {}  # monitors that were said not to judge, with the reason
         self._effects: list[Effect] = []
         self._notices: list[Notice] = []
@@ -231,11 +231,10 @@ class Session:
         if streams.scale_doubt and not had_doubt:
             felt = f"but {streams.scale_doubt}"
             self._effects.append(Note(f"the vehicle does not feel 1 g by the scale of the profile {own.name}, {felt}"))
-        calm = self._negotiation.calm and streams.changes == self._changes and self.baseline is not None
-        looked = now - self._looked < (CALM_S if calm else LOOK_S) and not received.acks
+        looked = now - self._looked < LOOK_S and not received.acks
         if looked or not self.settings.negotiate or self.state in (State.FITTING, State.FAULTED):
             return
-        self._looked, self._changes = now, streams.changes
+        self._looked = now
         effects, notices = self._negotiation.step(self._demand(received).wants, streams, received.acks, now)
         self._effects += effects
         self._notices += notices

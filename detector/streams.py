@@ -12,7 +12,7 @@ those with the fewest tries come first. Once an autopilot let that time pass wit
 for all at once, and an answer that may be that of several requests counts for none.
 """
 
-from collections import defaultdict, deque
+from collections import defaultdict
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -45,18 +45,16 @@ METERED = (
     Signal.ROTOR_SPEED,
     Signal.ATTITUDE,
 )
-STEADY = 5  # measurements that the steady rate is the mean of
 SLOWER = 8.0  # two steps in a row so many times the period are another rate: losses hardly make them (our choice)
 WEIGH_S, WEIGH_SAMPLES = 1.0, 20  # of the accelerometer, before its scale is believed (our choice)
-CHANGED = 0.05  # of a rate that is a change of it: less is told by the next look, a second later at most (our choice)
-_MOST = 100_000  # samples that are kept of one measurement
+_MOST = 100_000  # samples of the accelerometer that are kept
+_PIECES = 1000  # that are kept of one measurement: a clock that stands still ends none
 
 PAUSES_S = (2.0, 2.0, 5.0, 5.0, 5.0, 30.0)  # least time to the next request after 0 (forgotten), 1, 2, ... tries
 HELD_S = 5.0  # a rate that was right for so long was met; what came of a request is told after as long (our choice)
 VAIN = 3  # tries after which a message that never came is not to be had (our choice)
 OFTEN = 3  # changes by others after which the operator is told
 SETTLE_S = 2.5  # after a request, before rates are reported (our choice)
-CALM_S = 1.0  # between two looks while nothing is to be asked or told soon and no rate changes (our choice)
 ACK_S = 2.0  # an acknowledgement that has not come by then is lost; no later than the same request again (our choice)
 _REFUSED = (MavResult.DENIED, MavResult.UNSUPPORTED, MavResult.FAILED)
 
@@ -91,36 +89,23 @@ class Meter:
         self.periods_s: tuple[float, ...] = ()  # the last two measurements: one odd second is no change of rate
         self.rate_hz = 0.0  # 0 while unknown
         self._t_ns: list[IntArray] = []  # since the last measurement
-        self._first_ns = self._waiting = 0  # the first of them, and how many they are
         self._recent_ns: list[int] = []  # vehicle times of the last three samples
-        self._steps: deque[tuple[int, float]] = deque(maxlen=STEADY)  # number and length [s] of the last measurements'
 
-    @property
-    def steady_hz(self) -> float:
-        """Mean rate over the last measurements, losses included; 0 while unknown."""
-        span_s = sum(span_s for _, span_s in self._steps)
-        return sum(count for count, _ in self._steps) / span_s if span_s else 0.0
-
-    def take(self, series: Series, now: Instant) -> bool:
-        """Measure the next samples; returns whether the rate has changed."""
-        t_ns, before_hz, first = series.t_ns, self.rate_hz, self.latest is None
+    def take(self, series: Series, now: Instant) -> None:
+        """Measure the next samples."""
+        t_ns = series.t_ns
         count, recent_ns = len(t_ns), t_ns[-3:].tolist()
-        self.latest, self.samples, self._waiting = now, self.samples + count, self._waiting + count
+        self.latest, self.samples = now, self.samples + count
         self._recent_ns = recent_ns if count > 2 else [*self._recent_ns, *recent_ns][-3:]
-        if not self._t_ns:
-            self._first_ns = int(t_ns[0])
         self._t_ns.append(t_ns)
-        span_ns = recent_ns[-1] - self._first_ns
+        span_ns = recent_ns[-1] - int(self._t_ns[0][0])
         if span_ns >= MEASURE_S * NS_PER_S:
-            measured_ns = np.concatenate(self._t_ns)
-            self._steps.append((len(measured_ns) - 1, span_ns / NS_PER_S))
-            steps = steps_of(measured_ns)
+            steps = steps_of(np.concatenate(self._t_ns))
             self.periods_s = (*self.periods_s, usual_step(steps) / NS_PER_S)[-2:] if len(steps) else ()
         # Measured; or a clock that jumped back, or stands still, starts the measurement anew.
-        if not (0 <= span_ns < MEASURE_S * NS_PER_S and self._waiting <= _MOST):
-            self._t_ns, self._first_ns, self._waiting = [t_ns[-1:]], recent_ns[-1], 1
+        if not (0 <= span_ns < MEASURE_S * NS_PER_S and len(self._t_ns) <= _PIECES):
+            self._t_ns = [t_ns[-1:]]
         self.rate_hz = self._rate_hz()
-        return first or abs(self.rate_hz - before_hz) > CHANGED * before_hz
 
     def _rate_hz(self) -> float:
         """Measured rate. Two samples of a far lower rate tell at once that somebody set it."""
@@ -140,7 +125,6 @@ class Streams:
     def __init__(self) -> None:
         self.began: Instant | None = None  # since when they are observed (host)
         self.armed = self.thrust = float("nan")  # 0 or 1; collective set-point, 0..1: as said last; nan if never said
-        self.changes = 0  # of rates, so far
         self.scale_doubt = ""  # what the accelerometer feels and the profile that would explain it, if it is not 1 g
         self.meters = {signal: Meter() for signal in METERED}
         self._weighed: list[FloatArray] = []  # of the accelerometer, until its scale is believed
@@ -153,9 +137,9 @@ class Streams:
         came = {series.signal: series for series in telemetry.series if series.t_ns.size}
         for signal, meter in self.meters.items():
             if (series := came.get(signal)) is not None:
-                self.changes += meter.take(series, now)
+                meter.take(series, now)
             elif meter.latest is not None and now - meter.latest > SILENT_S:
-                self.meters[signal], self.changes = Meter(meter.samples), self.changes + 1
+                self.meters[signal] = Meter(meter.samples)
         self.armed = _latest(self.armed, came.get(Signal.ARMED))
         self.thrust = _latest(self.thrust, came.get(Signal.THRUST_SETPOINT))
         if not self._scale_believed and (force := came.get(Signal.SPECIFIC_FORCE)) is not None:
@@ -273,11 +257,6 @@ class _Ask:
         pause_s = PAUSES_S[min(self.tries, len(PAUSES_S) - 1)]
         return not self.refused and (self.at is None or now - self.at >= pause_s)
 
-    def pressing(self, now: Instant) -> bool:
-        if self.right_since is None:
-            return self.due(now + CALM_S)
-        return self.at is not None and now - self.at < HELD_S + CALM_S
-
     def vain(self, now: Instant) -> bool:
         return self.refused or (self.tries >= VAIN and self.due(now))
 
@@ -294,10 +273,10 @@ class _Ask:
 
 
 class Negotiation:
-    """All that was asked so far of one autopilot. autopilot: MAV_AUTOPILOT. calm: the next look may wait `CALM_S`."""
+    """All that was asked so far of one autopilot. autopilot: MAV_AUTOPILOT."""
 
     def __init__(self, autopilot: int = 0) -> None:
-        self._autopilot, self.calm = autopilot, False
+        self._autopilot = autopilot
         self._asks: defaultdict[int, _Ask] = defaultdict(_Ask)
         self._awaited: tuple[int | None, Instant] | None = None  # message that waits for an answer; None for several
         self._answers: bool | None = None  # whether an answer ever came; None while the first request may have one
@@ -312,7 +291,6 @@ class Negotiation:
     ) -> tuple[list[Effect], list[Notice]]:
         """Take in acknowledgements and measured rates; return what to ask and what to say."""
         effects, due = list[Effect](self._acknowledged(acks, now)), list[tuple[_Ask, int, float]]()
-        looked = list[_Ask]()
         rates_hz = {want.msgid: streams.rate_hz(want.signal, now) for want in wants}
         for want in wants:
             rate_hz = rates_hz[want.msgid]
@@ -324,17 +302,14 @@ class Negotiation:
             msgid = next(carriers, want.msgid)
             ask, right = self._asks[msgid], want.least_hz <= rate_hz <= want.most_hz
             ask.look(right, now)
-            looked.append(ask)
             if not right and ask.due(now):
                 due.append((ask, msgid, want.ask_hz))
-            effects += self._told(ask, msgid, want, streams, rate_hz, now)
+            effects += self._told(ask, msgid, want, rate_hz, now)
         for ask, msgid, ask_hz in sorted(due, key=lambda one: one[0].tries):
             if self.free:
                 effects += self.ask_for(msgid, ask_hz, now)
                 ask.tries, ask.at = ask.tries + 1, now
-        notices, told = self._reported(rates_hz, now), None not in rates_hz.values()
-        self.calm = told and not (effects or notices or any(ask.pressing(now) for ask in looked))
-        return effects, notices
+        return effects, self._reported(rates_hz, now)
 
     def ask_for(self, msgid: int, rate_hz: float, now: Instant) -> list[Effect]:
         """Ask once for a stream."""
@@ -355,7 +330,7 @@ class Negotiation:
             self._awaited, self._answers = None, bool(self._answers)
         return notes
 
-    def _told(self, ask: _Ask, msgid: int, want: Want, streams: Streams, rate_hz: float, now: Instant) -> list[Note]:
+    def _told(self, ask: _Ask, msgid: int, want: Want, rate_hz: float, now: Instant) -> list[Note]:
         name = message_name(msgid)
         if not rate_hz and "lack" not in ask.told and (ask.refused or ask.tries >= VAIN):
             ask.told.add("lack")
@@ -367,9 +342,7 @@ class Negotiation:
         if rate_hz and ask.at is not None and now - ask.at >= HELD_S and "rate" not in ask.told:
             ask.told.add("rate")
             answer = "gave no clear answer" if ask.answer is None else f"answered {_result(ask.answer)}"
-            steady_hz = streams.meters[want.signal].steady_hz or rate_hz
-            came = f"the autopilot {answer}, {steady_hz:.1f} Hz come"
-            return [Note(f"{name}: asked for {want.ask_hz:g} Hz, {came}")]
+            return [Note(f"{name}: asked for {want.ask_hz:g} Hz, the autopilot {answer}, {rate_hz:.1f} Hz come")]
         return []
 
     def _reported(self, rates_hz: Mapping[int, float | None], now: Instant) -> list[Notice]:

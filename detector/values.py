@@ -1,4 +1,4 @@
-"""What goes into a session and what comes out of it, and where daemon, links and vehicles stand. All are values."""
+"""What goes into a session and what comes out of it. All are values."""
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
@@ -8,9 +8,8 @@ from detector.config import SessionSettings
 from detector.states import State
 from mavdiag.baseline import Baseline
 from mavdiag.decision.alarm import NOTHING_SEEN, Change, Diagnosis, Event
-from mavdiag.link.clock import Timesync, TimesyncMessage
+from mavdiag.link.clock import TimesyncMessage
 from mavdiag.link.messages import Severity
-from mavdiag.link.ports import Traffic
 from mavdiag.link.profiles import Profile
 from mavdiag.telemetry import Telemetry
 
@@ -113,51 +112,6 @@ class Note:
 #: What is worth a line in the journal. A `Change` is of the diagnosis, a `Baseline` was learned: keep it.
 Record: TypeAlias = SendText | StateChanged | Change | EventOpened | EventClosed | TextSuppressed | Note | Baseline
 Effect: TypeAlias = Record | SendFloat | AskParameters | SendCommand | Learn | TimesyncMessage
-
-
-@dataclass(frozen=True, slots=True)
-class VehicleFigures:
-    """One vehicle at a moment; counts and times so far."""
-
-    vehicle: int  # system id
-    state: State
-    received: int  # frames of its autopilot
-    lost: int
-    judged_s: float
-    alarms: Mapping[str, int] = field(default_factory=dict)  # that were opened, by monitor
-    flight_s: float = 0.0
-    rates: tuple[tuple[str, float], ...] = ()  # measured rate of each stream that is metered [Hz]
-    ratios: tuple[tuple[str, str, float], ...] = ()  # statistic over threshold of monitor and axis that are valid now
-    timesync: Timesync = field(default_factory=Timesync)  # as asked last
-    drift_ppm: float | None = None  # of the first clock of its messages against another; None if they have one clock
-    diagnosis: Diagnosis = NOTHING_SEEN
-
-    @property
-    def events(self) -> int:
-        """All alarms."""
-        return sum(self.alarms.values())
-
-
-@dataclass(frozen=True, slots=True)
-class LinkFigures:
-    """One link."""
-
-    address: str  # as it was opened
-    connected: bool  # whether somebody is there, as far as this side can know
-    traffic: Traffic
-
-
-@dataclass(frozen=True, slots=True)
-class DaemonFigures:
-    """The daemon at a moment; counts so far."""
-
-    vehicles: tuple[VehicleFigures, ...]
-    links: tuple[LinkFigures, ...]  # the vehicle's, then those behind
-    late: int  # looks at the links that came too late
-    cpu_s: float
-    lost_entries: tuple[tuple[str, int], ...] = ()  # what could not be written to each file, by option
-    refused: tuple[tuple[str, int], ...] = ()  # frames of the vehicle's link that were not heard, by cause
-    delay_s: float = 0.0  # longest that a vehicle waited for its turn lately, because there was much to do
 
 
 def is_working(states: Collection[State]) -> bool:

@@ -111,7 +111,7 @@ def running(
     try:
         assert child.stderr is not None
         first = child.stderr.readline()
-        while "compiling" in first:  # on a machine that has much to do
+        while "compiled" in first:  # on a machine that has much to do
             first = child.stderr.readline()
         yield child, first
     finally:

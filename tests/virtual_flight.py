@@ -78,7 +78,8 @@ class VirtualFlight:
                 self._bench.open[0].send(request)
             self._bench.daemon.tick()
             if self.t_s >= len(self.judged_s):
-                self.judged_s.append((self.t_s, sum(one.judged_s for one in self._bench.daemon.fleet.figures())))
+                vehicles = self._bench.daemon.fleet.vehicles.values()
+                self.judged_s.append((self.t_s, sum(vehicle.judged_s for vehicle in vehicles)))
         self._host.ns = until_ns
 
     def wait(self, endpoints: Sequence[Endpoint], span_s: float) -> list[Endpoint]:

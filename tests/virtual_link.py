@@ -51,8 +51,8 @@ def heard(frames: Iterable[tuple[int, bytes]], baseline: Baseline, shim: Shim | 
     for _ in range(5):
         _look(fleet, found, waiting if shim is None else shim.due(now_ns), now_ns)
         waiting, now_ns = [], now_ns + TICK_NS
-    for figures in fleet.figures():
-        found.judged_s, found.count = figures.judged_s, fleet.link.count(figures.vehicle)
+    for vehicle in fleet.vehicles.values():
+        found.judged_s, found.count = vehicle.judged_s, vehicle.count
     return found
 
 

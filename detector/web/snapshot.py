@@ -10,16 +10,17 @@ high are the least and the greatest residual in it [rad/s], fsd_s the longest ru
 
 import math
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from detector.fleet import DaemonFigures, Vehicle
 from detector.judging import Judge, unjudged_s
 from detector.session import Session
 from detector.states import State
-from detector.values import DaemonFigures, VehicleFigures
+from detector.streams import METERED
 from mavdiag.chain import Chain
 from mavdiag.decision.diagnosis import Stage
 from mavdiag.decision.words import held_advice, held_sentence
@@ -38,6 +39,7 @@ BIN_NS = NS_PER_S // 20  # of vehicle time that one point of a strip stands for 
 DIGITS = 5
 OFF = "off"  # what the page says of a vehicle beside the stages: its session cannot do its work, or its link is lost
 BACK_S = 20.0  # that the strips show
+PIECES_MOST = 256  # that wait for a snapshot
 TRACK_POINTS = 120  # of a track, one a second: the last two minutes (our choice)
 PLACES = (Signal.POSITION, Signal.COORDINATES)
 EARTH_M = 6_371_009.0  # mean radius (IUGG)
@@ -123,49 +125,52 @@ class Track:
 
 
 class Snapshots:
-    """Makes the snapshots of one vehicle, each with what came since the last one."""
+    """Makes the snapshots of one vehicle. pieces: what its chain gave since the last one."""
 
     def __init__(self) -> None:
+        self.pieces: deque[Piece] = deque(maxlen=PIECES_MOST)
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew: what it is judged by is told again."""
         self._told: tuple[Chain | None, ...] = ()  # the chain that `about` was told of
         self._seen: dict[int, _Seen] = {}  # by number of the slot
         self._accounts: tuple[Account, ...] = ()
         self._rows: Instant | None = None  # when rows came last
 
-    def next(
-        self, figures: VehicleFigures, session: Session, pieces: Sequence[Piece], track: Track, now: Instant
-    ) -> tuple[Json | None, Json]:
-        """`about` a vehicle, None where that is as before, and the vehicle now.
-
-        pieces: what its chain gave since the last snapshot.
-        """
-        judge, told = session.judge, None
+    def next(self, vehicle: Vehicle, track: Track, now: Instant) -> tuple[Json | None, Json]:
+        """`about` a vehicle, None where that is as before, and the vehicle now."""
+        session, judge, told = vehicle.session, vehicle.session.judge, None
         chain = None if judge is None else judge.chain
         if self._told != (chain,):
-            self._told, self._seen, self._accounts, self._rows = (chain,), {}, (), None
-            told = about(figures.vehicle, session.spec.profile.name, judge)
+            self.forget()
+            self._told = (chain,)
+            told = about(vehicle.sysid, session.spec.profile.name, judge)
         slots, strips, nearest, now_ns = list[Json](), list[Json](), "", None
         since_ns = session.diagnosis.declared_ns
         if judge is not None:
-            traces = slot_traces(judge.chain, pieces)
-            self._rows = now if pieces else self._rows
+            traces = slot_traces(judge.chain, tuple(self.pieces))
+            self._rows = now if self.pieces else self._rows
             self._seen |= {number: _seen(trace, now) for number, trace in enumerate(traces) if len(trace.found)}
             slots, strips = self._slots(judge, session, now), strips_of(traces)
             self._accounts, nearest, now_ns = judge.memory.accounts, _nearest(judge, slots), judge.memory.now_ns
+        self.pieces.clear()
         known = (seen.rises for seen in self._seen.values() if seen.rises and seen.value is not None)
-        rates = [(LABELS[Signal(name)], round(hertz, 1)) for name, hertz in figures.rates]
-        link = {"silent_s": round(now - session.latest, 2), "rates": rates} | _picked(figures.timesync, "round_trip_s")
+        rates = [(LABELS[signal], round(session.streams.meters[signal].rate_hz, 1)) for signal in METERED]
+        link = {"silent_s": round(now - session.latest, 2), "rates": rates} | _picked(vehicle.timesync, "round_trip_s")
         return told, {
-            **_picked(figures, "vehicle", "events"),
+            "vehicle": vehicle.sysid,
+            "events": vehicle.alarms.total(),
             **_picked(session, "state", "reason"),
             **_verdict(session, any(slot["value"] is not None for slot in slots), nearest),
             "since_s": None if since_ns is None or now_ns is None else round((now_ns - since_ns) / NS_PER_S, 1),
             "rises": next(known, ()),
-            "judged_s": round(figures.judged_s, 1),
-            "flight_s": round(figures.flight_s, 1),
+            "judged_s": round(vehicle.judged_s, 1),
+            "flight_s": round(judge.flight_s if judge else 0.0, 1),
             "slots": slots,
             "strips": strips,
             "track": [place for point in track.points for place in point],
-            "link": link | _picked(figures, "received", "lost", "drift_ppm"),
+            "link": link | _picked(vehicle.count, "received", "lost") | _picked(vehicle, "drift_ppm"),
         }
 
     def _slots(self, judge: Judge, session: Session, now: Instant) -> list[Json]:
@@ -262,14 +267,14 @@ def _nearest(judge: Judge, slots: Sequence[Json]) -> str:
     return f"{len(pairs)} of {len(slots)} monitors judge; nearest to its threshold is {name}, with {100 * ratio:.0f} %."
 
 
-def fleet_now(figures: DaemonFigures, sessions: Mapping[int, Session], now: Instant, began: Instant) -> Json:
-    """All vehicles and links. sessions: by system id. began: when the daemon did."""
+def fleet_now(figures: DaemonFigures, now: Instant, began: Instant) -> Json:
+    """All vehicles and links. began: when the daemon did."""
     vehicles = []
     for vehicle in figures.vehicles:
-        session = sessions[vehicle.vehicle]
-        judge = session.judge
+        session, judge = vehicle.session, vehicle.session.judge
         verdict = _verdict(session, judge is not None and now - judge.judged <= STALE_S)
-        vehicles.append(verdict | _picked(vehicle, "vehicle", "state", "received", "lost"))
+        named = {"vehicle": vehicle.sysid, "state": session.state}
+        vehicles.append(verdict | named | _picked(vehicle.count, "received", "lost"))
     counts = ("sent", "dropped", "overflowed")
     links = [_picked(link, "address", "connected") | _picked(link.traffic, *counts) for link in figures.links]
     rounded = {"cpu_s": round(figures.cpu_s, 2), "uptime_s": round(now - began, 1)}

@@ -10,7 +10,7 @@ Made-up senders cost a bounded amount: those that sent least make room.
 """
 
 from collections.abc import Hashable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -62,12 +62,12 @@ _SENDER = np.dtype(
 class LinkCount:
     """What came from one sender so far, in frames."""
 
-    received: int  # without duplicates
-    lost: int  # net of those that came late after all (reordered)
-    reordered: int
-    duplicated: int
-    restarts: int  # how often it began its count again
-    by_message: Mapping[int, int]
+    received: int = 0  # without duplicates
+    lost: int = 0  # net of those that came late after all (reordered)
+    reordered: int = 0
+    duplicated: int = 0
+    restarts: int = 0  # how often it began its count again
+    by_message: Mapping[int, int] = field(default_factory=dict)
     clashes: int = 0  # whose number another, different frame had just had
 
 

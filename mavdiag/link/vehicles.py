@@ -404,9 +404,9 @@ class LinkDecoder:
         few = 2 * self.decoder.garbage_bytes <= self.decoder.size
         return "" if few or self.vehicles else "bytes come that are no MAVLink frames: is the baud rate the vehicle's?"
 
-    def count(self, sysid: int) -> LinkCount | None:
-        """What came from one vehicle's autopilot so far; None if nothing did."""
-        return self.decoder.heard.count(sysid << 8 | AUTOPILOT)
+    def count(self, sysid: int) -> LinkCount:
+        """What came from one vehicle's autopilot so far."""
+        return self.decoder.heard.count(sysid << 8 | AUTOPILOT) or LinkCount()
 
     def sources_since(self, host_ns: int) -> list[Source]:
         """Where the vehicles are heard from whose autopilots were heard at this time or later [ns]."""

@@ -76,7 +76,7 @@ class Attacked(Bench):
 
     @property
     def judged_s(self) -> float:
-        return next(one.judged_s for one in self.daemon.fleet.figures() if one.vehicle == 1)
+        return self.daemon.fleet.vehicles[1].judged_s
 
 
 def attacked(vehicle: MadeVehicle, on_fault: str = "", **more: Any) -> Attacked:
@@ -162,9 +162,9 @@ def test_the_genuine_stream_is_judged_all_along(name: str, calm_s: float, tmp_pa
     bench = Attacked(LEARNING, fitter=fitter, vehicles=[MadeVehicle(1)], journal=journal, links_behind=1)
     bench.fly(3.0)
     bench.fly(22.0, ATTACKS[name]())
-    (figures,) = bench.daemon.fleet.figures()
+    ((sysid, vehicle),) = bench.daemon.fleet.vehicles.items()
     assert bench.judged_s == calm_s
-    assert (figures.vehicle, figures.state, figures.lost, figures.events) == (1, State.MONITORING, 0, 0)
+    assert (sysid, vehicle.session.state, vehicle.count.lost, vehicle.alarms.total()) == (1, State.MONITORING, 0, 0)
     assert bench.daemon.fleet.link.vehicles[1].state.timeline.reboots == 0
     behind = Decoder()
     behind.take(bench.behind[0].receive(0.0))

@@ -200,8 +200,8 @@ def test_all_is_read_and_none_starves_when_there_is_too_much_to_judge(
         bench.run(TICK_S)
         waits.append(fleet.longest_s)
     assert 0.1 < max(waits) < 1.0
-    figures = fleet.figures()
-    assert [one.lost for one in figures] == [0] * 8
+    figures = fleet.vehicles.values()
+    assert [one.count.lost for one in figures] == [0] * 8
     assert max(one.judged_s for one in figures) - min(one.judged_s for one in figures) < 1.0
     assert min(one.judged_s for one in figures) > 3.0
 
@@ -334,7 +334,7 @@ def test_an_error_of_the_program_takes_off_one_vehicle_alone(tmp_path: Path, mon
 
     monkeypatch.setattr(bench.daemon.fleet.link.vehicles[2], "step", fails)
     bench.run(3.0)
-    assert {one.vehicle: one.state for one in bench.daemon.fleet.figures()} == {1: State.MONITORING, 2: State.FAULTED}
+    assert [one.session.state for one in bench.daemon.fleet.vehicles.values()] == [State.MONITORING, State.FAULTED]
     assert [text for text in texts(received(bench.far)) if "OFF" in text] == ["PROP OFF: KeyError: internal error"]
     assert finds_a_fault(bench)
     bench.close()
@@ -347,11 +347,10 @@ def test_an_error_of_the_program_takes_off_one_vehicle_alone(tmp_path: Path, mon
 def test_a_set_wall_clock_changes_nothing_and_a_vehicles_is_told(watching: Benches, days: int, tmp_path: Path) -> None:
     host = VirtualHost()
     bench = watching(host=host, record=tmp_path / "a.tlog")
-    (before,) = bench.daemon.fleet.figures()
+    before_s = bench.daemon.fleet.vehicles[1].judged_s
     host.ahead = timedelta(days=days)
     bench.run(5.0)
-    (after,) = bench.daemon.fleet.figures()
-    assert after.judged_s == pytest.approx(before.judged_s + 5.0, abs=0.1)
+    assert bench.daemon.fleet.vehicles[1].judged_s == pytest.approx(before_s + 5.0, abs=0.1)
     session = bench.daemon.fleet.vehicles[1].session
     assert session.unix_offset_ns - session.spec.unix_offset_ns == pytest.approx(days * 86400e9, abs=1e9)
     assert np.ptp(read_tlog(tmp_path / "a.tlog")["body_rate"].host_ns) == pytest.approx(abs(days) * 86400e9, rel=1e-3)
@@ -376,6 +375,7 @@ def test_a_full_disk_leaves_the_old_baseline_and_the_watch(tmp_path: Path, monke
     bench.run(12.0)
     assert (path.read_bytes(), [one.name for one in tmp_path.iterdir()]) == (before, ["b.json"])
     assert any("baseline is not saved" in line and "No space left" in line for line in bench.host.lines)
+    assert "PROP baseline not saved, lost at the end" in texts(received(bench.far))
     assert bench.daemon.fleet.vehicles[1].session.state is State.MONITORING
     assert finds_a_fault(bench)
     bench.close()
@@ -428,11 +428,12 @@ def test_esc_telemetry_is_learnt_from_metered_and_the_weak_rotor_is_named(profil
     damage = Injection(RotorDamage(thrust_factor=0.9, drag_factor=0.9), rotor=3, onset_s=15.0)
     with closing(Bench(WATCH, baseline=baseline)) as bench:
         VirtualFlight(bench).fly(PlantConfig(seed=9, vehicle=VEHICLE, injections=(damage,)), 26.0, profile)
-        (figures,) = bench.daemon.fleet.figures()
+        (session,) = (vehicle.session for vehicle in bench.daemon.fleet.vehicles.values())
+        assert session.judge is not None
+        ratios = {slot.monitor.name: ratio for slot, ratio in session.judge.memory.ratios}
         lines = bench.host.lines
     assert any("PROP FAULT motor 3" in line for line in lines)
-    assert dict(figures.rates)["rotor_speed"] == pytest.approx(10.0, rel=0.1)
-    assert figures.diagnosis.rotor == 3
-    ratios = {monitor: ratio for monitor, _, ratio in figures.ratios}
+    assert session.streams.meters[Signal.ROTOR_SPEED].rate_hz == pytest.approx(10.0, rel=0.1)
+    assert session.diagnosis.rotor == 3
     assert ratios["rotor_speed"] > 1.0
     assert "rotor_trim" in ratios

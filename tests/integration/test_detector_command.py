@@ -229,7 +229,7 @@ def test_what_is_wrong_is_named_in_one_line(tmp_path: Path, text: str, words: st
 
 def test_the_environment_can_say_all_of_it(tmp_path: Path) -> None:
     environ = {
-        "MAVDIAG_DETECTOR_CONFIG": str(written(tmp_path / "detector.toml", "learn = 30.0\nsave = 'b.json'\n")),
+        "MAVDIAG_DETECTOR_CONFIG": str(written(tmp_path / "detector.toml", "learn = 30\nsave = 'b.json'\nweb = 80\n")),
         "MAVDIAG_DETECTOR_FORWARD": "/dev/ttyUSB1,57600 udpout:127.0.0.2:14550",
         "MAVDIAG_DETECTOR_KEEP_RATES": "true",
         "MAVDIAG_DETECTOR_SUSPECT": "fsd",
@@ -237,7 +237,7 @@ def test_the_environment_can_say_all_of_it(tmp_path: Path) -> None:
     }
     settings = load_settings(None, {}, environ)
     assert settings.forward == ("/dev/ttyUSB1,57600", "udpout:127.0.0.2:14550")
-    assert (settings.learn, settings.keep_rates, settings.suspect) == (30.0, True, ("fsd",))
+    assert (settings.learn, settings.keep_rates, settings.suspect, settings.web) == (30.0, True, ("fsd",), "80")
 
 
 def test_the_example_is_valid_and_shows_every_setting(tmp_path: Path) -> None:

@@ -392,7 +392,7 @@ def test_h5_a_link_that_stalls_changes_no_rate() -> None:
 @pytest.mark.parametrize(("many", "looks"), [(0, 1), (26, 1), (27, 2), (53, 2), (54, 3), (80, 3), (81, 4), (255, 4)])
 def test_a_turn_brings_more_looks_where_there_are_many_vehicles(many: int, looks: int) -> None:
     fleet = Fleet(lambda sysid, profile: None, profile=None, only=None, datagrams=True)
-    fleet.vehicles = dict.fromkeys(range(many), Vehicle(SessionSpec(PROFILES["qdrone2"]), Instant(0)))
+    fleet.vehicles = dict.fromkeys(range(many), Vehicle(0, SessionSpec(PROFILES["qdrone2"]), Instant(0)))
     assert fleet.looks == looks
 
 
@@ -426,7 +426,6 @@ class Seen:
 
     want: Want
     hz: float
-    steady_hz: float = 0.0
 
 
 @dataclass
@@ -443,7 +442,7 @@ class Talk:
             self.ticks += 1
             now = Instant(round(self.ticks * TICK_S * 1e9))
             by_signal = {stream.want.signal: stream for stream in seen}
-            streams: Any = SimpleNamespace(rate_hz=lambda one, _, by=by_signal: by[one].hz, meters=by_signal)
+            streams: Any = SimpleNamespace(rate_hz=lambda one, _, by=by_signal: by[one].hz)
             effects, _ = self.negotiation.step([stream.want for stream in seen], streams, acks, now)
             acks = ()
             self.asked += [(self.ticks * TICK_S, int(e.parameters[0])) for e in effects if isinstance(e, SendCommand)]

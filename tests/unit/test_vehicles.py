@@ -88,9 +88,9 @@ def test_a_vehicle_enters_when_its_profile_is_clear_and_brings_its_frames_along(
     assert stream.profile is PROFILES["ardupilot"]
     assert (stream.state.timeline.t_ns, stream.state.timeline.reboots) == (7_990_000_000, 0)
     assert decoder.waiting == {}
-    assert (count := decoder.count(1)) is not None
+    count = decoder.count(1)
     assert (count.received, count.lost) == (603, 0)
-    assert decoder.count(7) is None
+    assert decoder.count(7).received == 0
 
 
 def test_b18_a_vehicle_of_unknown_profile_waits_and_says_why() -> None:
@@ -482,7 +482,7 @@ def group(number: int, target: tuple[int, int] = (1, 1)) -> bytes:
 @pytest.mark.parametrize("message", [interval((1, 1), MessageId.RAW_IMU), BY_INT])
 def test_an_interval_of_a_message_that_is_needed_is_denied_in_the_autopilots_name(message: bytes) -> None:
     found = handled(message, 1)
-    assert found.passed == ()
+    assert found.passed == []
     [ack] = Decoder().feed(found.answers[0])
     assert (ack.sysid, ack.compid, ack.msgid) == (1, 1, MessageId.COMMAND_ACK)
     told = ack.numbers("command", "result", "target_system", "target_component")
@@ -506,11 +506,11 @@ def test_an_interval_of_a_message_that_is_needed_is_denied_in_the_autopilots_nam
     ],
 )
 def test_everything_else_passes(message: bytes, vehicles: tuple[int, ...]) -> None:
-    assert handled(message, *vehicles) == Handled((message,))
+    assert handled(message, *vehicles) == Handled([message])
 
 
 @pytest.mark.parametrize("target", [(1, 1), (1, 0), (0, 0)])
 def test_a_group_that_holds_what_is_needed_is_kept_back_and_noted(target: tuple[int, int]) -> None:
     for number in (1, 12):
         found = handled(group(number, target), 1)
-        assert (found.passed, found.answers, len(found.turns)) == ((), (), 1)
+        assert (found.passed, found.answers, len(found.turns)) == ([], [], 1)

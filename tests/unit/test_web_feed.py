@@ -15,8 +15,9 @@ from made_session import Story, baseline_for
 from made_vehicle import START_NS, Bench, MadeVehicle, record
 
 from detector.config import SessionSettings, Settings, load_settings
+from detector.fleet import Vehicle
 from detector.replay import Judged, Player, serve
-from detector.values import SessionSpec, VehicleFigures
+from detector.values import SessionSpec
 from detector.web.access import Access, Answer
 from detector.web.board import BATCH, FIRST, KEPT, Board, Reader, parse_last
 from detector.web.child import ServerProcess, read_token
@@ -26,7 +27,6 @@ from mavdiag.as_json import json_line
 from mavdiag.decision.diagnosis import Stage
 from mavdiag.errors import UsageError
 from mavdiag.judging import judge
-from mavdiag.kernel import Piece
 from mavdiag.link.profiles import PROFILES
 from mavdiag.logs import read_log
 from mavdiag.telemetry import Instant, Log, Series, Signal, Telemetry
@@ -143,17 +143,17 @@ def test_a_track_has_a_point_a_second_of_the_signal_that_came_first() -> None:
 
 def test_a_flight_from_waiting_to_a_fault_and_to_the_ground() -> None:
     baseline, snapshots = baseline_for(names=("fsd", "rotor_trim", "vibration_level", "unbalance")), Snapshots()
-    story = Story(SessionSpec(PROFILES["qdrone2"], baseline, SessionSettings(negotiate=False)))
+    spec = SessionSpec(PROFILES["qdrone2"], baseline, SessionSettings(negotiate=False))
+    story, vehicle = Story(spec), Vehicle(1, spec, START)
+    vehicle.session = story.session
 
     def after(seconds: float, **how: Any) -> dict[str, Any]:
         """Fly on; the last snapshot as the page gets it."""
         for _ in range(round(seconds / 0.2)):
-            pieces = list[Piece]()
             for _ in range(2):
                 story.fly(0.1, **how)
-                pieces += story.session.judge.pieces if story.session.judge is not None else ()
-            figures = VehicleFigures(1, story.session.state, 10, 0, 1.0)
-            _, shown = snapshots.next(figures, story.session, pieces, Track(), story.now)
+                snapshots.pieces.extend(story.session.judge.pieces if story.session.judge is not None else ())
+            _, shown = snapshots.next(vehicle, Track(), story.now)
         return dict(json.loads(json_line(shown)))
 
     first = after(0.6)
