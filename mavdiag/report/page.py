@@ -218,8 +218,7 @@ def _trends(overview: Overview) -> Picture | None:
     if not panels or len(overview.flights) < 2:
         return None
     count = len(overview.flights)
-    words = f"{overview.airframe}: statistics of {count} flights in shares of their thresholds"
-    chart = Chart(panels, (0.5, count + 0.5), words, x_label="flight", kind="still")
+    chart = Chart(panels, (0.5, count + 0.5), x_label="flight", kind="still")
     return drawn("trends", chart, overview.airframe)
 
 
