@@ -18,9 +18,8 @@ from typing import Literal
 
 from mavdiag.commandline import own_environ
 from mavdiag.errors import LinkError
-from mavdiag.link.messages import Severity
 from mavdiag.link.ports import open_endpoint
-from mavdiag.terminal.ground_station import GroundStation, LiveJudge, ReceivedText
+from mavdiag.terminal.ground_station import GroundStation, Line, LiveJudge
 
 GRACE_S = 3.0
 POLL_S = 0.05
@@ -112,13 +111,13 @@ class DemoResult:
     onset_s: float
     detected_s: float | None  # of the flight, when the fault was first alerted
     latency_s: float | None
-    alerts: tuple[ReceivedText, ...]
+    alerts: tuple[Line, ...]
     false_alarms: int  # before the onset
 
     @classmethod
-    def of(cls, onset_s: float, texts: Sequence[ReceivedText]) -> "DemoResult":
+    def of(cls, onset_s: float, texts: Sequence[Line]) -> "DemoResult":
         """The result of a flight with its fault from `onset_s` on."""
-        alerts = tuple(text for text in texts if text.severity <= Severity.CRITICAL)
+        alerts = tuple(text for text in texts if text.alert)
         early = sum(text.t_s < onset_s for text in alerts)
         detected_s = next((text.t_s for text in alerts if text.t_s >= onset_s), None)
         if detected_s is None:

@@ -16,16 +16,18 @@ from typing import Any, Self
 import numpy as np
 from rich.console import Console
 from rich.live import Live
+from rich.text import Text
 
 from mavdiag.decision.diagnosis import Change, Stage
 from mavdiag.decision.words import diagnosis_line
 from mavdiag.errors import InputError
 from mavdiag.link.messages import Severity
+from mavdiag.printable import printable
 from mavdiag.rows.front import in_pieces
 from mavdiag.storage import open_regular
 from mavdiag.telemetry import Axis, Log, Signal
-from mavdiag.terminal.ground_station import GroundStation, LiveJudge
-from mavdiag.terminal.view import SEVERITY, STYLES, Line, View, figure_levels, levels_of, line_for, picture, rate_strips
+from mavdiag.terminal.ground_station import GroundStation, Line, LiveJudge
+from mavdiag.terminal.view import SEVERITY, STYLES, View, figure_levels, levels_of, line_for, picture, rate_strips
 from mavdiag.units import NS_PER_S
 
 PER_S = 10
@@ -67,7 +69,8 @@ class Screen(ExitStack):
         self._events[:] = [*older[-EVENTS:], *events[-EVENTS:]]
         if self._live is None:
             for line in () if self._quiet else fresh:
-                self._console.print(line.shown, soft_wrap=True, highlight=False)
+                shown = Text(line.head + printable(line.text), style=line.style)
+                self._console.print(shown, soft_wrap=True, highlight=False)
             return True
         now, size = self._console.get_time(), self._console.size
         if not last and now < self._until:
@@ -89,7 +92,7 @@ def watch(station: GroundStation, address: str, axis: Axis, span_s: float, ended
         now_s = station.t_s if station.judge is None else station.judge.now_s or 0.0
         shown = replace(link_view(station, now_s, span_s, axis, events), title=f"{address}  {now_s:.1f} s")
         if station.judge is None:
-            alerts = [line.text for line in events if line.severity <= Severity.CRITICAL]
+            alerts = [line.text for line in events if line.alert]
             says = alerts[-1] if alerts else "no alert of a detector so far"
             shown = replace(shown, headline=says, stage=Stage.FAULT if alerts else Stage.NOT_JUDGED)
         return shown if station.heard else replace(shown, headline=SILENT)
