@@ -60,7 +60,6 @@ class FlightReport:
 
     verdict: LogVerdict
     sha256: str = ""
-    profile: str = ""
     started_ns: int = 0  # then, unix epoch; 0 if it is not known
     begin_s: float = 0.0
     link: tuple[Summary, ...] = ()
@@ -92,7 +91,6 @@ def flight_report(log: Log, baseline: Baseline, columns: int = COLUMNS, *, figur
     return FlightReport(
         verdict,
         log.sha256,
-        log.profile,
         log.started_ns and log.epoch_ns + sketch.begin_ns,
         sketch.begin_ns / NS_PER_S,
         summaries(log.telemetry),

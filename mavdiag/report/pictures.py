@@ -180,8 +180,7 @@ def monitor_picture(name: str, sketch: Sketch, baseline: Baseline) -> Picture | 
             looks = enumerate(zip(one.rotors, cycle(LOOKS), strict=False), start=1)
             lines = [rotor.line(f"rotor {number}", look, factor) for number, (rotor, look) in looks]
         limit = factor * one.slot.threshold
-        least = None if len(lines) > 1 else 0.0
-        levels = [(limit, f"threshold {limit:.3g}")]
+        least, levels = None if len(lines) > 1 else 0.0, [(limit, f"threshold {limit:.3g}")]
         panels.append(Panel(label, lines, levels, healthy=healthy, y=(least, None), height=150))
         most = factor * float(np.nanmax(one.value.high))
         told.append(f"{label}: highest {most:.3g}, threshold {limit:.3g}, in health usually up to {healthy:.3g}")
@@ -296,7 +295,7 @@ def plane_picture(sketch: Sketch, classifier: str | None) -> Chart:
     lines = [Line(few[2], few[3], "runs of this flight", "faint", "dots")]
     for look, kind in zip(LOOKS, FaultType if known else (), strict=False):
         (x, x_low, x_high), (y, y_low, y_high) = (of.T for of in fault_classes()[kind])
-        lines += [Line(x, y, NAMES[kind], f"{look} big", "dots")]
+        lines.append(Line(x, y, NAMES[kind], f"{look} big", "dots"))
         lines += [errors(x_low, x_high, y, y, look), errors(x, x, y_low, y_high, look)]
     if rate.runs.size:
         fsd_s, peak = rate.longest[2:, None]
