@@ -53,11 +53,6 @@ class Screen(ExitStack):
         self._size, self._until = self._console.size, 0.0
         self._events: list[Line] = []
 
-    def __enter__(self) -> Self:
-        if self._console.is_terminal and not self._quiet:
-            self._live = self.enter_context(Live(console=self._console, auto_refresh=False))
-        return self
-
     def forget(self) -> None:
         """Leave out what happened so far."""
         self._events.clear()
@@ -67,7 +62,7 @@ class Screen(ExitStack):
         events = [*self._events, *fresh]
         older = [line for line in events[:-EVENTS] if line.alert]
         self._events[:] = [*older[-EVENTS:], *events[-EVENTS:]]
-        if self._live is None:
+        if self._quiet or not self._console.is_terminal:
             for line in () if self._quiet else fresh:
                 shown = Text(line.head + printable(line.text), style=line.style)
                 self._console.print(shown, soft_wrap=True, highlight=False)
@@ -79,8 +74,8 @@ class Screen(ExitStack):
         if size != self._size:  # what was drawn for the old one would stay in part
             self.close()
             self._console.clear()
-            self._size = size
-            self._live = self.enter_context(Live(console=self._console, auto_refresh=False))
+            self._size, self._live = size, None
+        self._live = self._live or self.enter_context(Live(console=self._console, auto_refresh=False))
         self._live.update(picture(self._draw(self._events), size.width, size.height - 1), refresh=True)
         return True
 

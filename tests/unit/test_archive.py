@@ -103,7 +103,7 @@ def test_what_names_no_log_is_trouble_and_an_error_where_all_are_needed(tmp_path
 def test_an_answer_is_the_same_when_it_is_read_again(tmp_path_factory: pytest.TempPathFactory, record: Record) -> None:
     """By its text, for what is no number differs from itself."""
     folder, record = tmp_path_factory.mktemp("cache"), replace(record, digest=DIGEST)
-    Cache(folder).put(DIGEST, record)
+    Cache(folder).put(record)
     again = Cache(folder).get(DIGEST)
     assert again is not None
     assert str(again) == str(record)
@@ -122,7 +122,7 @@ def test_every_option_the_baseline_and_the_code_make_another_question(monkeypatc
 
 def test_a_damaged_file_and_one_of_another_log_are_no_answers(tmp_path: Path) -> None:
     record = Record(DIGEST, LogVerdict("", Verdict.HEALTHY, "no alarm"))
-    Cache(tmp_path).put(DIGEST, record)
+    Cache(tmp_path).put(record)
     assert Cache(tmp_path).get(DIGEST) == record
     file = tmp_path / f"{DIGEST}.json"
     (tmp_path / f"{'cd' * 32}.json").write_text(file.read_text())
