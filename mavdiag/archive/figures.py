@@ -92,10 +92,9 @@ def record_of(log: Log, judged: JudgedFlight, baseline: Baseline) -> FlightRecor
     """What is kept of a flight, without its airframe and the time at which a history takes it in."""
     traces = () if judged.chain is None else slot_traces(judged.chain, judged.pieces)
     content = log.sha256 if log.vehicle is None else f"{log.sha256}:{log.vehicle}"
-    trims = (trace.found for trace in traces if isinstance(trace.slot.monitor, RotorTrim))
-    trim = next((found for found in trims if found.rotors.shape[1] and found.valid.any()), None)
-    monitor = next((trace.slot.monitor for trace in traces if isinstance(trace.slot.monitor, RotorTrim)), None)
-    verdict = judged.verdict
+    of_trim = [(trace.slot.monitor, trace.found) for trace in traces if isinstance(trace.slot.monitor, RotorTrim)]
+    rises = [found.rotors[found.valid] for _, found in of_trim if found.rotors.shape[1] and found.valid.any()]
+    flown, verdict = [piece.rows for piece in judged.pieces if len(piece.rows.block)], judged.verdict
     return FlightRecord(
         "",
         printable(log.name),
@@ -107,8 +106,8 @@ def record_of(log: Log, judged: JudgedFlight, baseline: Baseline) -> FlightRecor
         verdict.reason,
         verdict.judged_s,
         tuple(_slot_figures(trace) for trace in traces),
-        () if trim is None else tuple(np.median(trim.rotors[trim.valid], axis=0).tolist()),
-        () if monitor is None else monitor.whole([piece.rows for piece in judged.pieces if len(piece.rows.block)]),
+        tuple(np.median(rises[0], axis=0).tolist()) if rises else (),
+        of_trim[0][0].whole(flown) if of_trim else (),
     )
 
 
