@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import BaseModel, Field, TypeAdapter, ValidationError
 
 from mavdiag.airframe.propellers import FaultType
 from mavdiag.errors import InputError
@@ -30,18 +30,14 @@ LAST = ("suspicion", "nothing", "not judged")
 _FAULT = re.compile(r"F[123]/SV[123]")
 
 
-class _Line(BaseModel):
-    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
-
-
-class Answer(_Line):
+class Answer(BaseModel, frozen=True):
     """What the diagnosis answered."""
 
     kind: Annotated[str, Field(max_length=60)]
     fault_type: Annotated[str, Field(max_length=20)] | None = None
 
 
-class CampaignFlight(_Line):
+class CampaignFlight(BaseModel, frozen=True, allow_inf_nan=False):
     """One flight of a campaign."""
 
     record: Literal["flight"]
@@ -77,7 +73,7 @@ class CampaignFlight(_Line):
         return self.answer.fault_type or self.answer.kind
 
 
-class _Learnt(_Line):
+class _Learnt(BaseModel):
     record: Literal["learn"]  # a line that holds a baseline; nothing of it is drawn
 
 
