@@ -44,11 +44,9 @@ SILENT = "nothing was received; is the vehicle or the detector sending to this a
 class Screen(ExitStack):
     """A picture of all events so far, drawn again and again on a terminal; on anything else one line an event."""
 
-    def __init__(
-        self, draw: Callable[[Sequence[Line]], View], *, quiet: bool = False, console: Console | None = None
-    ) -> None:
+    def __init__(self, draw: Callable[[Sequence[Line]], View], *, console: Console | None = None) -> None:
         super().__init__()
-        self._draw, self._quiet, self._console = draw, quiet, console or Console()
+        self._draw, self._console = draw, console or Console()
         self._live: Live | None = None
         self._size, self._until = self._console.size, 0.0
         self._events: list[Line] = []
@@ -62,8 +60,8 @@ class Screen(ExitStack):
         events = [*self._events, *fresh]
         older = [line for line in events[:-EVENTS] if line.alert]
         self._events[:] = [*older[-EVENTS:], *events[-EVENTS:]]
-        if self._quiet or not self._console.is_terminal:
-            for line in () if self._quiet else fresh:
+        if not self._console.is_terminal:
+            for line in fresh:
                 shown = Text(line.head + printable(line.text), style=line.style)
                 self._console.print(shown, soft_wrap=True, highlight=False)
             return True
@@ -105,7 +103,7 @@ def listen(
 ) -> list[Change]:
     """Show what a ground station hears until `ended`, with `whose` before texts and changes; return the changes."""
     changes: list[Change] = []
-    with Screen(view, quiet=quiet) as screen:
+    with Screen(view, console=Console(quiet=quiet)) as screen:
         last = False
         while not last:
             last = ended()
