@@ -11,8 +11,8 @@ from rich.console import Console
 from mavdiag.baseline import Baseline
 from mavdiag.demo.command import DETECTOR, SPAN_S, THESIS, flight_view, own_baselines
 from mavdiag.demo.subprocesses import POLL_S, Flight, closed_loop
-from mavdiag.terminal.ground_station import LiveJudge
-from mavdiag.terminal.view import Line, line_for, picture
+from mavdiag.terminal.ground_station import Line, LiveJudge
+from mavdiag.terminal.view import line_for, picture
 
 FLIGHT = Flight(duration_s=50.0, fault="F2/SV2", rotor=1, onset_s=15.0, seed=1)  # as `mavdiag demo`
 UNTIL_S = 24.0  # of flight, when the picture is taken

@@ -1,6 +1,6 @@
 """From a judged flight to what is kept of it: the figures of a history, and windows of equal length. Pure."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -92,10 +92,9 @@ def record_of(log: Log, judged: JudgedFlight, baseline: Baseline) -> FlightRecor
     """What is kept of a flight, without its airframe and the time at which a history takes it in."""
     traces = () if judged.chain is None else slot_traces(judged.chain, judged.pieces)
     content = log.sha256 if log.vehicle is None else f"{log.sha256}:{log.vehicle}"
-    trims = (trace.found for trace in traces if isinstance(trace.slot.monitor, RotorTrim))
-    trim = next((found for found in trims if found.rotors.shape[1] and found.valid.any()), None)
-    monitor = next((trace.slot.monitor for trace in traces if isinstance(trace.slot.monitor, RotorTrim)), None)
-    verdict = judged.verdict
+    of_trim = [(trace.slot.monitor, trace.found) for trace in traces if isinstance(trace.slot.monitor, RotorTrim)]
+    rises = [found.rotors[found.valid] for _, found in of_trim if found.rotors.shape[1] and found.valid.any()]
+    flown, verdict = [piece.rows for piece in judged.pieces if len(piece.rows.block)], judged.verdict
     return FlightRecord(
         "",
         printable(log.name),
@@ -107,8 +106,8 @@ def record_of(log: Log, judged: JudgedFlight, baseline: Baseline) -> FlightRecor
         verdict.reason,
         verdict.judged_s,
         tuple(_slot_figures(trace) for trace in traces),
-        () if trim is None else tuple(np.median(trim.rotors[trim.valid], axis=0).tolist()),
-        () if monitor is None else monitor.whole([piece.rows for piece in judged.pieces if len(piece.rows.block)]),
+        tuple(np.median(rises[0], axis=0).tolist()) if rises else (),
+        of_trim[0][0].whole(flown) if of_trim else (),
     )
 
 
@@ -125,6 +124,10 @@ def windows_of(flight: JudgedFlight, span_s: float, judged_share: float = JUDGED
     if flight.chain is None or not pieces:
         return ()
     blocks, traces = [piece.rows.block for piece in pieces], slot_traces(flight.chain, pieces)
+    of_name = {
+        trace.slot.monitor.name: [one for one in traces if one.slot.key[0] == trace.slot.key[0]] for trace in traces
+    }
+    deciding = {trace.slot.monitor.name for trace in traces if trace.slot.decides}
     t_ns = np.concatenate([block.t_ns for block in blocks])
     settled = np.concatenate([block.t_ns >= block.settled_ns for block in blocks])
     judged = settled.copy()
@@ -141,16 +144,11 @@ def windows_of(flight: JudgedFlight, span_s: float, judged_share: float = JUDGED
         verdict = Verdict.HEALTHY if enough else Verdict.NOT_JUDGEABLE
         if held & {Stage.FAULT, Stage.SUSPECTED}:
             verdict = Verdict.FAULT if Stage.FAULT in held else Verdict.SUSPECTED
-        shown = [(trace.slot.decides, _shown(trace, edges)) for trace in traces]
-        ratios = [(one.ratio, one.name) for decides, one in shown if decides and one.ratio is not None]
+        monitors = tuple(_shown(name, own, edges) for name, own in of_name.items())
+        ratios = [(one.ratio, one.name) for one in monitors if one.name in deciding and one.ratio is not None]
         ratio, whose = max((pair for pair in ratios if np.isfinite(pair[0])), default=(None, None))
-        monitors: dict[str, WindowMonitor] = {}
-        for _, one in shown:
-            other = monitors.get(one.name, one)
-            peak = max((peak for peak in (one.ratio, other.ratio) if peak is not None), default=None)
-            monitors[one.name] = WindowMonitor(one.name, max(one.judged_s, other.judged_s), peak)
         figures = (verdict, flown_s, judged_s, ratio, whose)
-        found.append(Window(k * span_s, (k + 1) * span_s, *figures, tuple(monitors.values())))
+        found.append(Window(k * span_s, (k + 1) * span_s, *figures, monitors))
     return tuple(found)
 
 
@@ -161,8 +159,11 @@ def _held(flight: JudgedFlight, edges: tuple[int, int], last_ns: int) -> Iterato
             yield change.stage
 
 
-def _shown(trace: SlotTrace, edges: tuple[int, int]) -> WindowMonitor:
-    rows = slice(*trace.found.t_ns.searchsorted(edges))
-    ratio = trace.found.value[rows][trace.found.valid[rows]] / trace.slot.threshold
-    judged_s, highest = len(ratio) * trace.found.period_s, float(ratio.max()) if len(ratio) else None
-    return WindowMonitor(trace.slot.monitor.name, judged_s, highest)
+def _shown(name: str, traces: Sequence[SlotTrace], edges: tuple[int, int]) -> WindowMonitor:
+    spans_s, ratios = list[float](), list[float]()
+    for trace in traces:
+        rows = slice(*trace.found.t_ns.searchsorted(edges))
+        ratio = trace.found.value[rows][trace.found.valid[rows]] / trace.slot.threshold
+        spans_s.append(len(ratio) * trace.found.period_s)
+        ratios += [float(ratio.max())] if len(ratio) else []
+    return WindowMonitor(name, max(spans_s), max(ratios, default=None))

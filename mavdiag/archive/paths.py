@@ -3,6 +3,7 @@
 And whether a file may be written beside them.
 """
 
+import glob
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -55,22 +56,15 @@ def logs_named(arguments: Iterable[str | Path], is_log: IsLog = is_log) -> Found
             if argument.is_dir():
                 found = list(_below(argument, set(), is_log))
             elif any(sign in str(argument) for sign in "*?[") and not argument.exists():
-                matches = sorted(Path(argument.anchor).glob(str(argument.relative_to(argument.anchor))))
-                whole = set(matches)  # of a folder that matches all is taken already
-                shown = (path for path in matches if whole.isdisjoint(path.parents) and not _hidden(path, argument))
+                matches = set(map(Path, glob.glob(str(argument), recursive=True)))  # noqa: PTH207  # without hidden ones
+                shown = sorted(path for path in matches if matches.isdisjoint(path.parents))  # of a folder all is taken
                 found = [log for path in shown for log in _below(path, set(), is_log)]
-        except (OSError, ValueError) as error:  # a name that is too long, another user's folder, a pattern that is none
-            found = [Named(argument, f"cannot be looked for ({getattr(error, 'strerror', None) or error})")]
+        except OSError as error:  # a name that is too long, another user's folder
+            found = [Named(argument, f"cannot be looked for ({error.strerror or error})")]
         taken = [log for log in found if log is not None]
         skipped += len(found) - len(taken)
         logs += taken or [Named(argument, NOTHING)]
     return Found(tuple(logs), skipped)
-
-
-def _hidden(path: Path, pattern: Path) -> bool:
-    """Whether a match is, or is in, what begins with a dot and the pattern does not name, as in a shell."""
-    dots = any(part.startswith(".") and part not in pattern.parts for part in path.parts)
-    return dots and not any(part.startswith((".*", ".?", ".[")) for part in pattern.parts)
 
 
 def _below(path: Path, seen: set[tuple[int, int]], is_log: IsLog) -> Iterator[Named | None]:

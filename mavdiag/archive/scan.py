@@ -111,38 +111,35 @@ def refused(reason: str) -> Record:
 
 
 class Cache:
-    """Answers to one question by the digests of the logs, a small file each; in memory where there is no folder."""
+    """Answers to one question by the digests of the logs, a small file each; none is kept where there is no folder."""
 
     def __init__(self, folder: Path | None = None, warn: Callable[[str], None] = lambda text: None) -> None:
-        self._folder, self._warn, self._held = folder, warn, dict[str, Record]()
+        self._folder, self._warn = folder, warn
 
     @property
     def empty(self) -> bool:
         """Whether there is no answer yet."""
-        return not (self._held or (self._folder is not None and any(self._folder.glob("*.json"))))
+        return self._folder is None or not any(self._folder.glob("*.json"))
 
     def get(self, digest: str) -> Record | None:
         """The answer for a content; None if there is none, or its file is damaged."""
-        if digest in self._held or self._folder is None:
-            return self._held.get(digest)
+        if self._folder is None:
+            return None
         try:
             record = _adapter().validate_json(read_text(self._folder / f"{digest}.json", RECORD_BYTES))
         except (InputError, ValidationError):
             return None
         return record if record.digest == digest else None
 
-    def put(self, digest: str, record: Record) -> None:
-        """Keep what was answered for a content at once; an error only as long as this program runs."""
+    def put(self, record: Record) -> None:
+        """Keep an answer at once, unless it is an error."""
         if self._folder is not None and record.digest:
             try:
                 text = to_json(record, inf_nan_mode="constants")
-                return write_atomically(self._folder / f"{record.digest}.json", text, durable=False)
+                write_atomically(self._folder / f"{record.digest}.json", text, durable=False)
             except UsageError as error:
                 self._folder = None
                 self._warn(f"answers are not kept any more: {error}")
-        if record.digest in ("", digest):  # else the file was changed before it was judged
-            self._held[digest] = record
-        return None
 
 
 def own_cache() -> Path:
@@ -257,7 +254,7 @@ def scan(
     kept = cache or Cache()
     seen: list[str | Record] = []  # of each log so far: its digest, or its path if it is no copy, or why it has none
     digest_at, found = dict[str, str](), dict[str, Record]()
-    before, finished = set[str](), set[str]()
+    before, answered = set[str](), set[str]()
     heads, fresh = [_told(log, head_of) for log in logs], kept.empty
     alike = Counter(head for head in heads if isinstance(head, str))
 
@@ -279,24 +276,27 @@ def scan(
         return record
 
     def ready(first: int) -> Iterator[Answer]:
-        for log, digest in zip(logs[first:], seen[first:], strict=False):
+        for log, head, digest in zip(logs[first:], heads[first:], seen[first:], strict=False):
             if isinstance(digest, Record):
                 yield Answer(log.path, digest)
-            elif digest in found:
-                yield Answer(log.path, found.pop(digest), known=digest in before)
-            elif digest in finished:  # of a file that was changed before it was judged nothing is kept
-                yield Answer(log.path, kept.get(digest) or judge_file(str(log.path.absolute()), question), copy=True)
-            else:
+                continue
+            record, copy = found.get(digest), digest in answered
+            if copy and (record is None or record.digest not in ("", digest)):  # that file was changed meanwhile
+                record = judge_file(str(log.path.absolute()), question)
+            if record is None:
                 return
+            answered.add(digest)
+            if isinstance(head, str) and alike[head] == 1:  # nothing else can be its copy
+                found.pop(digest, None)
+            yield Answer(log.path, record, known=digest in before and not copy, copy=copy)
 
     count = 0
     with closing(run_all(partial(judge_file, question=question), tasks(), workers, known=known, warn=warn)) as ended:
         for path, future in ended:
             digest = digest_at[path]
             found[digest] = _record(future)
-            finished.add(digest)
             if digest not in before:
-                kept.put(digest, found[digest])
+                kept.put(found[digest])
             for answer in ready(count):
                 count += 1
                 yield answer

@@ -39,16 +39,11 @@ def rows_of(answer: Answer) -> Iterator[Row]:
         for span in verdict.rotors
     ]
     of_log = {
-        "log": verdict.log,
+        **{name: getattr(verdict, name) for name in ("log", "reason", "kind", "since_s", "rotor")},
+        **{name: getattr(typed, name, None) for name in ("fault_type", "severity")},
         "sha256": answer.record.digest or None,
         "log_verdict": str(verdict.verdict),
-        "reason": verdict.reason,
-        "kind": verdict.kind,
-        "since_s": verdict.since_s,
-        "rotor": verdict.rotor,
         "rotors": "; ".join(spans) or None,
-        "fault_type": None if typed is None else typed.fault_type,
-        "severity": None if typed is None else typed.severity,
         "confidence": next((one.confidence for one in reversed(faults) if one.confidence is not None), None),
         "alarms": len(verdict.events),
         "profile": verdict.profile or None,

@@ -1,7 +1,6 @@
 """`mavdiag history`: flights of an airframe kept in a database, their trends, and warnings before a threshold."""
 
 import json
-import sys
 import time
 from contextlib import AbstractContextManager
 from dataclasses import replace
@@ -23,7 +22,7 @@ from mavdiag.commands.scan import judging
 from mavdiag.errors import UsageError, check_installed
 from mavdiag.face import now
 from mavdiag.history import show as shown
-from mavdiag.history.warn import Mark, MarkKind, Overview, overview_of
+from mavdiag.history.warn import Mark, MarkKind, overview_of
 from mavdiag.printable import printable
 from mavdiag.storage import write_atomically
 from mavdiag.telemetry import unix_ns
@@ -39,7 +38,7 @@ NAME = partial(Option, metavar="NAME", callback=lambda name: name and printable(
 AirframeName: TypeAlias = Annotated[str | None, NAME("--airframe", help="Only this airframe.")]
 
 app = application(
-    "Keep the judged flights of airframes, draw their trends, warn before a threshold is reached.\n\n"
+    "Keep the judged flights of airframes, tell their trends, warn before a threshold is reached.\n\n"
     "Without a command: `show`.",
     show_by_default=True,
 )
@@ -100,7 +99,7 @@ def show(
     as_json: opt.AsJson = False,
     html: Annotated[Path | None, Option(metavar="FILE", help="Write a page with the trends.")] = None,
 ) -> None:
-    """Draw the trends since the propellers were new.
+    """Tell the trends since the propellers were new.
 
     Exit code 1 if a statistic reaches its threshold soon, a rotor has changed, or the last flight is a fault; else 0.
     """
@@ -115,7 +114,10 @@ def show(
 
         write_atomically(html, history_page(found, now()))
     for overview in found:
-        _print(overview, as_json=as_json)
+        lines = (
+            [json.dumps(shown.overview_json(overview))] if as_json else [one.text for one in shown.lines_of(overview)]
+        )
+        say(*lines)
     raise typer.Exit(1 if any(overview.asks for overview in found) else 0)
 
 
@@ -172,17 +174,3 @@ def _flight_line(number: int, record: FlightRecord) -> str:
         ratio, slot = max(ratios, key=lambda pair: pair[0])
         told += f", {slot.monitor}{f' {slot.axis}' if slot.axis else ''} {ratio:.2f} of its threshold"
     return f"{told}, {record.log}"
-
-
-def _print(overview: Overview, *, as_json: bool) -> None:
-    if as_json:
-        return say(json.dumps(shown.overview_json(overview)))
-    if not sys.stdout.isatty():
-        return say(*(line.text for line in shown.lines_of(overview)))
-    from rich.console import Console
-    from rich.text import Text
-
-    console = Console(highlight=False)
-    for text, loud in shown.lines_of(overview, console.width):
-        console.print(Text(printable(text), style="bold red" if loud else ""))
-    return None

@@ -15,7 +15,7 @@ from mavdiag.archive.paths import AS_BASELINE, check_output
 from mavdiag.baseline import Baseline
 from mavdiag.commandline import application, say
 from mavdiag.commands import options as opt
-from mavdiag.commands.progress import each, sizes_of, working
+from mavdiag.commands.progress import each, working
 from mavdiag.errors import UsageError
 from mavdiag.face import now, with_airframe
 from mavdiag.identify import Method
@@ -124,15 +124,15 @@ def _taken(
     what: is done with them. cut: first and last time of the vehicle's clock that count [s], None for no limit.
     """
     found, mapped = opt.find_logs(logs, columns)
-    paths = found.paths()
+    count = len(found.paths())
     with ExitStack() as stack:
 
         def taken() -> Iterator[Log]:
-            for path in each(paths, "read", sizes_of(found.logs)):
-                yield read_part(path, vehicle, *cut, mapped)
-            stack.enter_context(working(f"{what} {counted(len(paths), 'flight')} ..."))
+            for log in each(found.logs, "read"):
+                yield read_part(log.path, vehicle, *cut, mapped)
+            stack.enter_context(working(f"{what} {counted(count, 'flight')} ..."))
 
-        yield len(paths), taken()
+        yield count, taken()
 
 
 app = application("Look into a baseline file, or add healthy flights to it.")

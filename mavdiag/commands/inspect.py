@@ -1,6 +1,5 @@
 """`mavdiag inspect` and `mavdiag look`, two names of one command: what a log or a link shows without a judgement."""
 
-import sys
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -86,7 +85,7 @@ def inspect(
         return say(*([json_line(found)] if as_json else in_full(found)))
     named, mapped = opt.find_logs(sources, columns)
     alone, failed = len(named.logs) == 1, False
-    as_table, table = sys.stdout.isatty() and not alone and not as_json, list[Inspection | dict[str, str]]()
+    as_table, table = not alone and not as_json and opt.table_fits(), list[Inspection | dict[str, str]]()
     for source in each(named.logs, "looking"):
         shown: Inspection | dict[str, str]
         try:

@@ -18,15 +18,15 @@ from mavdiag.baseline import Baseline
 from mavdiag.commandline import application, say
 from mavdiag.commands import options as opt
 from mavdiag.commands.progress import working
-from mavdiag.errors import BaselineError, IdentificationError, InputError, UsageError
+from mavdiag.errors import BaselineError, IdentificationError, UsageError
 from mavdiag.face import FlightRates, rates, read_log
 from mavdiag.identify import ArxModel, Method, ModelRecord, fit, lab
 from mavdiag.identify.estimate import ORDERS, Flights, ResidualReport, best_row, examine_residual, validate
 from mavdiag.identify.estimate import sweep as fit_each
 from mavdiag.identify.lab import Figure, ModelFigures, draw_model, model_figures
-from mavdiag.logs.log import read_bytes
 from mavdiag.monitors.run_length import RunLengthSpec
 from mavdiag.rows.savgol import MIN_WINDOW
+from mavdiag.storage import begins
 from mavdiag.telemetry import Axis
 
 SETTLE_S = 1.0  # of each stretch that the fit figures leave out: it may begin in motion
@@ -59,7 +59,7 @@ def show(
     if plot is not None:
         check_output(plot, file)
     flights: dict[Axis, FlightRates] = {}
-    if _is_baseline(file):
+    if begins(file, rb"\s*\{"):  # as JSON does, and no log
         specs = (entry.spec for entry in Baseline.load(file).monitors)
         known = {spec.axis: spec.model for spec in specs if isinstance(spec, RunLengthSpec)}
         if not known:
@@ -184,14 +184,6 @@ def track(
         line = {"flight_s": round(flown * flight.dt_s, 3), "dc_gain": found.dc_gain}
         lines.append({**line, **figures, "stable": model.stable})
     _print(lines, as_json=as_json)
-
-
-def _is_baseline(file: Path) -> bool:
-    """Whether a file begins as JSON does; no log begins with a brace."""
-    try:
-        return read_bytes(file, 64).lstrip().startswith(b"{")
-    except InputError:
-        return False  # the reader of logs says what is wrong with it
 
 
 def _fitted(flight: FlightRates, order: str, method: opt.MethodChoice) -> ArxModel:

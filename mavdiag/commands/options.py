@@ -1,8 +1,10 @@
 """Options that several commands share, and how they become values."""
 
 import re
+import sys
 from collections.abc import Iterable
 from pathlib import Path
+from shutil import get_terminal_size
 from typing import Annotated, Literal, TypeAlias
 
 from typer import Argument, Option
@@ -54,6 +56,7 @@ Vehicle: TypeAlias = Annotated[
 ]
 WindowS: TypeAlias = Annotated[float, Option("--window", metavar="S", help="Savitzky-Golay window.")]
 
+TABLE_WIDTH = 80  # characters (our choice)
 _SCHEME = re.compile(r"[a-z]{2,}:")
 
 
@@ -68,6 +71,11 @@ def parse_order(text: str) -> Order:
         raise UsageError(f"order {text!r}: write three whole numbers like 2,2,1 (na,nb,nk), each below 20")
     na, nb, nk = map(int, text.split(","))
     return na, nb, nk
+
+
+def table_fits() -> bool:
+    """Whether the output is a terminal with room for a table."""
+    return sys.stdout.isatty() and get_terminal_size().columns >= TABLE_WIDTH
 
 
 def is_endpoint(source: str) -> bool:

@@ -2,11 +2,11 @@
 
 import sys
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import timedelta
 from threading import Timer
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 from mavdiag.archive.paths import Named
 from mavdiag.commandline import say
@@ -14,7 +14,6 @@ from mavdiag.commandline import say
 if TYPE_CHECKING:
     from rich.progress import Progress
 
-T = TypeVar("T")
 FIRST_LINE_S, LINE_S = 10.0, 30.0  # a log file of a nightly run is not filled with lines (our choice)
 SLOW_S = 2.0  # without a word is long for who waits (our choice)
 BAR = 24  # characters
@@ -27,8 +26,8 @@ class Shown:
         self._text, self._total, self._work = text, len(sizes), sum(sizes) or 1.0
         self._done, self._finished, self._started = 0, 0.0, time.monotonic()
         self._bar, self._next_s = bar, first_s
-        total = self._work if self._total > 1 else None
-        self._task = None if bar is None else bar.add_task(text, total=total, words="")
+        if bar is not None:
+            bar.add_task(text, total=self._work if self._total > 1 else None, words="")
 
     def add(self, size: float) -> None:
         """One more item is done; size: its own, of `sizes`."""
@@ -38,11 +37,9 @@ class Shown:
         words = f"{self._done} of {self._total}"
         if elapsed_s > 0 and self._finished > 0:
             left = timedelta(seconds=round(elapsed_s * max(self._work / self._finished - 1.0, 0.0)))
-            each_s = elapsed_s / self._done
-            pace, unit = (each_s, "s each") if each_s > 1 else (1 / each_s, "a second")
-            words += f", {f'{pace:.2g}' if pace < 99.5 else f'{pace:.0f}'} {unit}, {left} left"
-        if self._bar is not None and self._task is not None:
-            self._bar.update(self._task, completed=self._finished, words=words)
+            words += f", {left} left"
+        if self._bar is not None:
+            self._bar.update(self._bar.task_ids[0], completed=self._finished, words=words)
         elif elapsed_s >= self._next_s and self._done < self._total:
             self._next_s = elapsed_s + LINE_S
             say(f"{self._text}: {words}", err=True)
@@ -73,17 +70,17 @@ def shown(text: str, sizes: Sequence[float], *, quiet: bool = False) -> Iterator
         yield Shown(text, sizes, bar, float("inf"))
 
 
-def sizes_of(logs: Iterable[Named]) -> tuple[float, ...]:
+def sizes_of(logs: Sequence[Named]) -> tuple[float, ...]:
     """The sizes of logs, as how much work they are [bytes]; 0 for what is no file: it tells no speed."""
     return tuple(0.0 if log.trouble or not log.path.is_file() else float(log.path.stat().st_size) for log in logs)
 
 
-def each(items: Sequence[T], text: str, sizes: Sequence[float] | None = None) -> Iterator[T]:
-    """The items one by one, with progress if there are several. sizes: how much work each is; None if alike."""
-    work = sizes or [1.0] * len(items)
-    with shown(text, work, quiet=len(items) < 2) as progress:
-        for item, size in zip(items, work, strict=True):
-            yield item
+def each(logs: Sequence[Named], text: str) -> Iterator[Named]:
+    """The logs one by one, with progress if there are several."""
+    sizes = sizes_of(logs)
+    with shown(text, sizes, quiet=len(logs) < 2) as progress:
+        for log, size in zip(logs, sizes, strict=True):
+            yield log
             progress.add(size)
 
 

@@ -9,7 +9,7 @@ from mavdiag.archive.paths import Named, check_output
 from mavdiag.baseline import Baseline
 from mavdiag.commandline import say
 from mavdiag.commands import options as opt
-from mavdiag.commands.progress import each, sizes_of
+from mavdiag.commands.progress import each
 from mavdiag.errors import InputError, UsageError
 from mavdiag.face import now
 from mavdiag.judging import LogVerdict, Verdict
@@ -54,7 +54,7 @@ def report(
     reference = Baseline.load(baseline)
     found, mapped = opt.find_logs(logs, columns)
     points = max(LEAST_POINTS, COLUMNS // max(1, len(found.logs) // 4))  # fewer where many logs share a page
-    numbered = enumerate(each(found.logs, "drawn", sizes_of(found.logs)))
+    numbered = enumerate(each(found.logs, "drawn"))
     reports = [_flight(one, reference, vehicle, mapped, points, figures=number < DRAWN) for number, one in numbered]
     verdicts = [flight.verdict for flight in reports]
     if all(verdict.verdict is Verdict.ERROR for verdict in verdicts):

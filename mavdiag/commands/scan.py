@@ -2,7 +2,6 @@
 
 import json
 import os
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import replace
@@ -74,7 +73,7 @@ def scan(
     question = Question.of(reference, Options(vehicle, from_s, to_s, windows, mapped, judged_share, figures=as_one))
     verdicts, rows, flights = list[Verdict](), list[Row](), dict[str, FlightRecord]()
     before = copies = 0
-    as_table = sys.stdout.isatty() and len(found.logs) > 1 and windows is None and not as_json
+    as_table = len(found.logs) > 1 and windows is None and not as_json and opt.table_fits()
     how = judging(found.logs, question, scheduler or jobs, cache, no_cache=no_cache, quiet=as_json)
     with how as (answers, tell):
         for answer in answers:

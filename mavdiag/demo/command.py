@@ -5,6 +5,7 @@ import tempfile
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -19,19 +20,18 @@ from mavdiag.commandline import say
 from mavdiag.commands.identify import make_baseline
 from mavdiag.commands.report import write_report
 from mavdiag.decision.diagnosis import Change, Stage
-from mavdiag.demo.subprocesses import Child, DemoResult, Flight, closed_loop, run_child
+from mavdiag.demo.subprocesses import DemoResult, Flight, closed_loop, run_child
 from mavdiag.errors import BaselineError, UsageError
 from mavdiag.face import with_airframe
 from mavdiag.learning import LearnOptions, thesis_options
-from mavdiag.link.messages import Severity
 from mavdiag.logs import read_log
 from mavdiag.monitors.run_length import RunLengthSpec
 from mavdiag.telemetry import Axis
-from mavdiag.terminal.ground_station import GroundStation
+from mavdiag.terminal.ground_station import GroundStation, Line
 from mavdiag.units import NS_PER_S
 
 if TYPE_CHECKING:  # rich takes time to load
-    from mavdiag.terminal.view import Line, View
+    from mavdiag.terminal.view import View
 
 CODE = re.compile(r"\s*F[123]\s*[/\\_-]?\s*SV[123]\s*", re.IGNORECASE)  # as the emulator has it
 ONSET_SHARE = 0.3  # of the flight
@@ -63,6 +63,7 @@ def demo(
     over MAVLink and nothing was alerted before its onset, else 1.
     """
     from mavdiag.terminal.ground_station import LiveJudge
+    from mavdiag.terminal.watching import listen
 
     if not CODE.fullmatch(fault):
         raise UsageError(f"--fault {fault}: give F1, F2 or F3 with SV1, SV2 or SV3, as in F2/SV2")
@@ -79,7 +80,8 @@ def demo(
     with tempfile.TemporaryDirectory() as folder:
         record = Path(folder) / "flight.tlog"
         with closed_loop(flight, fused, LiveJudge(reference, SPAN_S), record) as (plant, _, station):
-            changes = watch(plant, station, flight, quiet=as_json)
+            view, whose = partial(flight_view, station, flight), (DETECTOR, THESIS)
+            changes = listen(station, view, whose, lambda: not plant.running, quiet=as_json)
         result = DemoResult.of(flight.onset_s, station.texts)
         if not as_json:
             _print_result(result, flight, changes)
@@ -136,23 +138,13 @@ def _usable(path: Path) -> bool:
         return False
 
 
-def watch(plant: Child, station: GroundStation, flight: Flight, *, quiet: bool) -> list[Change]:
-    """Show the flight until it is over, if there is somebody to show it to; return the changes of the thesis rule."""
-    from mavdiag.terminal.watching import listen
-
-    def view(events: Sequence["Line"]) -> "View":
-        return flight_view(station, flight, events)
-
-    return listen(station, view, (DETECTOR, THESIS), lambda: not plant.running, quiet=quiet)
-
-
-def flight_view(station: GroundStation, flight: Flight, events: Sequence["Line"]) -> "View":
+def flight_view(station: GroundStation, flight: Flight, events: Sequence[Line]) -> "View":
     """The picture of a moment. events: so far."""
     from mavdiag.terminal.watching import link_view
 
     now_s, fault = station.t_s, f"{flight.fault} on rotor {flight.rotor}"
     phase = f"damaged: {fault} since" if now_s >= flight.onset_s else f"healthy; {fault} comes at"
-    alerts = [line for line in events if line.severity <= Severity.CRITICAL and line.text.startswith(DETECTOR)]
+    alerts = [line for line in events if line.alert and line.text.startswith(DETECTOR)]
     shown = link_view(station, now_s, SPAN_S, Axis.ROLL, events)
     title = f"flight {now_s:.1f} of {flight.duration_s:g} s, {phase} {flight.onset_s:g} s"
     says = alerts[-1].text.removeprefix(DETECTOR) if alerts else "no alert"

@@ -14,14 +14,14 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeAlias
 
 from mavdiag.commandline import own_environ
 from mavdiag.errors import LinkError
-from mavdiag.link.messages import Severity
 from mavdiag.link.ports import open_endpoint
-from mavdiag.terminal.ground_station import GroundStation, LiveJudge, ReceivedText
+from mavdiag.terminal.ground_station import GroundStation, Line, LiveJudge
 
+Outcome: TypeAlias = Literal["detected", "false alarm", "missed"]
 GRACE_S = 3.0
 POLL_S = 0.05
 READY_S = 120.0  # the emulator compiles its loop at its first start
@@ -108,23 +108,22 @@ class Flight:
 class DemoResult:
     """What the ground station saw, as `demo --json` has it. Times in seconds; None if nothing was alerted in time."""
 
-    verdict: Literal["detected", "false alarm", "missed"]
+    verdict: Outcome
     onset_s: float
     detected_s: float | None  # of the flight, when the fault was first alerted
     latency_s: float | None
-    alerts: tuple[ReceivedText, ...]
+    alerts: tuple[Line, ...]
     false_alarms: int  # before the onset
 
     @classmethod
-    def of(cls, onset_s: float, texts: Sequence[ReceivedText]) -> "DemoResult":
+    def of(cls, onset_s: float, texts: Sequence[Line]) -> "DemoResult":
         """The result of a flight with its fault from `onset_s` on."""
-        alerts = tuple(text for text in texts if text.severity <= Severity.CRITICAL)
+        alerts = tuple(text for text in texts if text.alert)
         early = sum(text.t_s < onset_s for text in alerts)
         detected_s = next((text.t_s for text in alerts if text.t_s >= onset_s), None)
-        if detected_s is None:
-            return cls("false alarm" if early else "missed", onset_s, None, None, alerts, early)
-        told = (onset_s, detected_s, round(detected_s - onset_s, 3), alerts, early)
-        return cls("false alarm" if early else "detected", *told)
+        latency_s = None if detected_s is None else round(detected_s - onset_s, 3)
+        verdict: Outcome = "false alarm" if early else "missed" if detected_s is None else "detected"
+        return cls(verdict, onset_s, detected_s, latency_s, alerts, early)
 
 
 @contextlib.contextmanager

@@ -1,19 +1,16 @@
-"""What is shown of an airframe: sentences and drawings, and JSON. Pure."""
+"""What is shown of an airframe: sentences, and JSON. Pure."""
 
 import math
 from datetime import UTC, datetime
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from mavdiag.archive.figures import FlightRecord
 from mavdiag.as_json import DIGITS, plain
+from mavdiag.history.trend import Trend
 from mavdiag.history.warn import WARNS, Outlook, Overview, Review
 from mavdiag.printable import counted
-from mavdiag.telemetry import FloatArray
 from mavdiag.units import NS_PER_S
 
-LEVELS = "▁▂▃▄▅▆▇█"
 FAR = 1000  # flights: beyond it a number is no forecast
 
 
@@ -63,8 +60,8 @@ def _trend_json(found: Review) -> dict[str, Any]:
     return rounded
 
 
-def lines_of(overview: Overview, width: int | None = None) -> tuple[Line, ...]:
-    """What is said of an airframe. width: of the terminal, where each statistic is drawn; None for no drawings."""
+def lines_of(overview: Overview) -> tuple[Line, ...]:
+    """What is said of an airframe."""
     lines = [Line(_headline(overview), overview.faulty)]
     if unknown := sum(not flight.started_ns for flight in overview.flights):
         lines.append(Line(f"  {unknown} without a clock in the log, placed by when they were added (--at, --ordered)"))
@@ -76,10 +73,8 @@ def lines_of(overview: Overview, width: int | None = None) -> tuple[Line, ...]:
             lines.append(Line(f"  {stretch.began} after the last flight: no trend yet"))
     if overview.together is not None:
         lines.append(Line(f"  {overview.together}", overview.together.changed))
-    for found in (found for found in overview.found if found.trend is not None):
-        lines.append(Line(f"  {_sentence(found)}", found.outlook in WARNS))
-        if width is not None:
-            lines.append(Line(f"    {sparkline(found.series.share, width - 4)}", found.outlook in WARNS))
+    trends = ((found, found.trend) for found in overview.found if found.trend is not None)
+    lines += [Line(f"  {_sentence(found, trend)}", found.outlook in WARNS) for found, trend in trends]
     if few := [found.series.name for found in overview.found if found.trend is None]:
         lines.append(Line(f"  {Outlook.TOO_FEW.value}: {', '.join(few)}"))
     if overview.rotor_growth:
@@ -90,18 +85,13 @@ def lines_of(overview: Overview, width: int | None = None) -> tuple[Line, ...]:
 
 def _headline(overview: Overview) -> str:
     flights = overview.flights
-    if not flights:
-        return f"{overview.airframe}: no flights"
     count, last = counted(len(flights), "flight"), flights[-1].verdict.value
     span = f"{day(flights[0].t_ns)} to {day(flights[-1].t_ns)}"
     return f"{overview.airframe}: {count}, {span}; the last one {last.replace('_', ' ')}"
 
 
-def _sentence(found: Review) -> str:
-    series, trend = found.series, found.trend
-    told = f"{series.name}: {found.outlook.value}"
-    if trend is None:
-        return told
+def _sentence(found: Review, trend: Trend) -> str:
+    series, told = found.series, f"{found.series.name}: {found.outlook.value}"
     if found.warned_at is not None:
         told += f", warned of since flight {found.warned_at} of the stretch"
     unit = f" {series.unit}" if series.unit else ""
@@ -111,18 +101,6 @@ def _sentence(found: Review) -> str:
         best, low, high = (f"{value:.0f}" if value <= FAR else f"over {FAR}" for value in remaining)
         told += f", there in {best} flights ({low} to {high if math.isfinite(remaining.high) else 'no end'})"
     return told + "".join(f"; jumped by {change.step:+.2f} at flight {change.number}" for change in found.changes)
-
-
-def sparkline(share: FloatArray, width: int) -> str:
-    """The highest share of each span of flights; a full block is the threshold. NaN is a blank.
-
-    >>> sparkline(np.array([0.1, 0.3, 0.5, np.nan, 0.9, 1.2]), 6)
-    '▁▃▄ ██'
-    """
-    spans = np.array_split(share, max(min(width, len(share)), 1))
-    highest = (float(span[np.isfinite(span)].max(initial=-1.0)) for span in spans)
-    steps = ((peak, math.ceil(peak * len(LEVELS)) - 1) for peak in highest)
-    return "".join(" " if peak < 0 else LEVELS[min(max(step, 0), len(LEVELS) - 1)] for peak, step in steps)
 
 
 def day(t_ns: int) -> str:

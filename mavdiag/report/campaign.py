@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import BaseModel, Field, TypeAdapter, ValidationError
 
 from mavdiag.airframe.propellers import FaultType
 from mavdiag.errors import InputError
@@ -30,18 +30,14 @@ LAST = ("suspicion", "nothing", "not judged")
 _FAULT = re.compile(r"F[123]/SV[123]")
 
 
-class _Line(BaseModel):
-    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
-
-
-class Answer(_Line):
+class Answer(BaseModel, frozen=True):
     """What the diagnosis answered."""
 
     kind: Annotated[str, Field(max_length=60)]
     fault_type: Annotated[str, Field(max_length=20)] | None = None
 
 
-class CampaignFlight(_Line):
+class CampaignFlight(BaseModel, frozen=True, allow_inf_nan=False):
     """One flight of a campaign."""
 
     record: Literal["flight"]
@@ -77,7 +73,7 @@ class CampaignFlight(_Line):
         return self.answer.fault_type or self.answer.kind
 
 
-class _Learnt(_Line):
+class _Learnt(BaseModel):
     record: Literal["learn"]  # a line that holds a baseline; nothing of it is drawn
 
 
@@ -151,28 +147,26 @@ def campaign_pictures(campaign: Campaign) -> tuple[Picture, ...]:
 @picture("campaign-roc")
 def _roc(campaign: Campaign) -> Chart:
     before = (flight.score_before for flight in campaign.flights if flight.judged and flight.cause == HEALTHY)
-    healthy, curves = [score for score in before if score is not None], list[tuple[float, int, Roc]]()
+    healthy, curves = [score for score in before if score is not None], list[tuple[str, Roc]]()
     for scale in campaign.scales:
         after = (flight.score_after for flight in campaign.faulty if flight.phenomenology == scale)
         damaged = [score for score in after if score is not None]
         if healthy and damaged:
-            curves.append((scale, len(damaged), roc_of(healthy, damaged)))
+            roc = roc_of(healthy, damaged)
+            curves.append((f"fitted terms x{scale:g}, {len(damaged)} damaged: area {roc.area:.3f}", roc))
     if not curves:
         lacking = "no healthy flight has a score" if campaign.faulty else NO_FAULTS
         raise NotDrawn(f"{lacking}; campaigns of this version write them")
     lines = [Line(np.array([0.0, 100.0]), np.array([0.0, 100.0]), "chance", "faint")]
-    for look, (scale, _, roc) in zip(LOOKS, curves, strict=False):
-        label = f"fitted terms x{scale:g}: area {roc.area:.3f}"
+    for look, (label, roc) in zip(LOOKS, curves, strict=False):
         lines.append(Line(100 * roc.false_share, 100 * roc.true_share, label, look))
         false_share, true_share = (np.array([100 * at]) for at in roc.at_threshold)
         lines.append(Line(false_share, true_share, "", f"{look} big", "dots"))
     panel = Panel("damaged flights found [%]", lines, y=(-2, 102), height=260)
-    of = f"damaged and {len(healthy)} healthy flights"
-    words = "; ".join(f"terms x{scale:g}: area {roc.area:.3f} of {count} {of}" for scale, count, roc in curves)
     score = "the highest statistic over its threshold of the monitors that decide about propellers"
     when = "of the whole healthy flight, and of a damaged one after the onset"
     note = f"{len(healthy)} healthy flights; the score is {score}, {when}."
-    return Chart([panel], (-1, 101), f"{words}.", note, "healthy flights flagged [%]", kind="still")
+    return Chart([panel], (-1, 101), note, "healthy flights flagged [%]", kind="still")
 
 
 @picture("campaign-severity")
@@ -191,8 +185,8 @@ def _severity(campaign: Campaign) -> Chart:
                 lines.append(errors(x, x, low, high, look))
         panels.append(Panel(f"found [%], fitted terms x{scale:g}", lines, y=(-3, 103), height=150))
     found_count = sum(flight.latency_s is not None for flight in flights)
-    words = f"{found_count} of {len(flights)} damaged flights had an alarm after the onset."
-    return Chart(panels, (0.7, 3.3), words, "", "severity", [(at, f"{at:g}") for at in (1.0, 2.0, 3.0)], kind="still")
+    note = f"{found_count} of {len(flights)} damaged flights had an alarm after the onset."
+    return Chart(panels, (0.7, 3.3), note, "severity", [(at, f"{at:g}") for at in (1.0, 2.0, 3.0)], kind="still")
 
 
 def _share(flights: Sequence[CampaignFlight], cause: str, scale: float) -> tuple[float, float, float] | None:
@@ -224,8 +218,8 @@ def _latency(campaign: Campaign) -> Chart:
         lines.append(Line(x, y, f"{NAMES[kind]} ({count} flights)", look))
     medians = [f"{kind}: median {np.median(times):.2f} s" for kind, times, _ in curves if len(times)]
     panel = Panel("flights noticed [%]", lines, y=(0, 102), height=200)
-    words, below = f"{'; '.join(medians) or 'none noticed'}.", "time from the onset to the first alarm [s]"
-    return Chart([panel], (0.0, longest), words, f"{words[:1].upper()}{words[1:]}", below, kind="still")
+    note, below = f"{'; '.join(medians) or 'None noticed'}.", "time from the onset to the first alarm [s]"
+    return Chart([panel], (0.0, longest), note, below, kind="still")
 
 
 def confusion(campaign: Campaign) -> tuple[tuple[str, ...], list[tuple[str, *tuple[int, ...]]]]:

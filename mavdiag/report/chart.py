@@ -68,7 +68,7 @@ class Panel:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chart:
-    """Panels above each other with one x axis. words: for those who cannot see it. note: of the caption.
+    """Panels above each other with one x axis. note: what the caption says of this one.
 
     x: its range. ticks: of x, None for round numbers. kind: "zoom" if the script may replace it, "follow" if it moves
     with the others of its flight, "still" if x is no time.
@@ -76,7 +76,6 @@ class Chart:
 
     panels: Sequence[Panel]
     x: tuple[float, float]
-    words: str
     note: str = ""
     x_label: str = "time of the flight [s]"
     ticks: Sequence[tuple[float, str]] | None = None

@@ -39,7 +39,7 @@ from mavdiag.report.campaign import HEALTHY, Campaign, campaign_pictures, confus
 from mavdiag.report.chart import COLUMNS, FOLDER, Chart, Line, Panel, Picture, drawn, embedded
 from mavdiag.report.drawing import rotor_places, where
 from mavdiag.report.sketch import Sketch
-from mavdiag.telemetry import FloatArray, Log
+from mavdiag.telemetry import Log
 from mavdiag.units import NS_PER_S, S_PER_H
 
 EVENTS = 20  # alarms that a page lists of one flight; the rest is counted (our choice)
@@ -60,7 +60,6 @@ class FlightReport:
 
     verdict: LogVerdict
     sha256: str = ""
-    profile: str = ""
     started_ns: int = 0  # then, unix epoch; 0 if it is not known
     begin_s: float = 0.0
     link: tuple[Summary, ...] = ()
@@ -92,7 +91,6 @@ def flight_report(log: Log, baseline: Baseline, columns: int = COLUMNS, *, figur
     return FlightReport(
         verdict,
         log.sha256,
-        log.profile,
         log.started_ns and log.epoch_ns + sketch.begin_ns,
         sketch.begin_ns / NS_PER_S,
         summaries(log.telemetry),
@@ -200,26 +198,21 @@ def history_page(overviews: Sequence[Overview], created: str) -> str:
 
 def _trends(overview: Overview) -> Picture | None:
     """A panel for each statistic, in shares of its threshold; None where nothing was judged yet."""
-    parts: dict[str, list[tuple[FloatArray, FloatArray]]] = {}
+    lines, warned = dict[str, list[Line]](), {found.series.name for found in overview.warned}
     for stretch in overview.stretches:
         for series in series_of(stretch):
             number = np.arange(len(series.peak), dtype=np.float64) + stretch.first
-            parts.setdefault(series.name, []).append((number, series.share))
-    warned = {found.series.name for found in overview.warned}
+            look = "fault" if series.name in warned else "measured"
+            lines.setdefault(series.name, []).append(Line(number, series.share, look=look))
     marks = [(one.first - 0.5, one.began) for one in overview.stretches if one.began and one.flights]
     panels = []
-    for name, own in parts.items():
-        look = "measured" if name not in warned else "fault"
+    for name, own in lines.items():
         label = f"{pictures.name_of(name)}{': warned of' if name in warned else ''}"
-        parted = ([np.append(part, np.nan) for part in both] for both in zip(*own, strict=True))
-        number, share = (np.concatenate(both)[:-1] for both in parted)
-        line = Line(number, share, look=look)
-        panels.append(Panel(label, [line], [(1.0, "threshold")], marks, y=(0.0, None), height=TREND_HEIGHT))
+        panels.append(Panel(label, own, [(1.0, "threshold")], marks, y=(0.0, None), height=TREND_HEIGHT))
     if not panels or len(overview.flights) < 2:
         return None
     count = len(overview.flights)
-    words = f"{overview.airframe}: statistics of {count} flights in shares of their thresholds"
-    chart = Chart(panels, (0.5, count + 0.5), words, x_label="flight", kind="still")
+    chart = Chart(panels, (0.5, count + 0.5), x_label="flight", kind="still")
     return drawn("trends", chart, overview.airframe)
 
 

@@ -80,7 +80,7 @@ def timeline(log: Log, judged: JudgedFlight, sketch: Sketch) -> Chart:
         raise NotDrawn("nothing of this flight was judged, and the log tells no flight modes")
     lanes = [_lane(*what, spans) for what, spans in held.items()]
     left = f"{len(lanes) - LANES} further lanes are not shown." if len(lanes) > LANES else ""
-    return Chart(lanes[:LANES], sketch.span, ". ".join(lane.label for lane in lanes), left, kind="follow")
+    return Chart(lanes[:LANES], sketch.span, left, kind="follow")
 
 
 def _held(judged: JudgedFlight, sketch: Sketch) -> Iterator[tuple[str, str, float, float]]:
@@ -145,15 +145,14 @@ def _lane(words: str, look: str, held: Sequence[tuple[float, float]]) -> Panel:
 @picture("flight")
 def flight_picture(telemetry: Telemetry, sketch: Sketch) -> Chart:
     """Height and throttle: the climb, the flight and the landing."""
-    panels, told = [], []
-    for signal, label, name, factor in FLIGHT:
-        series = telemetry.get(signal)
-        if series is not None and np.isfinite(series.values).any():
-            panels.append(Panel(label, [sketch.series(series, 0).line(name, factor=factor)], height=80))
-            told.append(f"{label} up to {factor * np.nanmax(series.values):.1f}")
+    panels = [
+        Panel(label, [sketch.series(series, 0).line(name, factor=factor)], height=80)
+        for signal, label, name, factor in FLIGHT
+        if (series := telemetry.get(signal)) is not None and np.isfinite(series.values).any()
+    ]
     if not panels:
         raise NotDrawn("the log carries neither height nor throttle")
-    return Chart(panels, sketch.span, f"{'; '.join(told)}.")
+    return Chart(panels, sketch.span)
 
 
 def spoken(judged: JudgedFlight) -> list[str]:
@@ -181,13 +180,12 @@ def monitor_picture(name: str, sketch: Sketch, baseline: Baseline) -> Picture | 
             looks = enumerate(zip(one.rotors, cycle(LOOKS), strict=False), start=1)
             lines = [rotor.line(f"rotor {number}", look, factor) for number, (rotor, look) in looks]
         limit = factor * one.slot.threshold
-        least = None if len(lines) > 1 else 0.0
-        levels = [(limit, f"threshold {limit:.3g}")]
+        least, levels = None if len(lines) > 1 else 0.0, [(limit, f"threshold {limit:.3g}")]
         panels.append(Panel(label, lines, levels, healthy=healthy, y=(least, None), height=150))
         most = factor * float(np.nanmax(one.value.high))
         told.append(f"{label}: highest {most:.3g}, threshold {limit:.3g}, in health usually up to {healthy:.3g}")
-    words = f"{'; '.join(told)}."
-    chart = Chart(panels, sketch.span, words, words[:1].upper() + words[1:])
+    note = f"{'; '.join(told)}."
+    chart = Chart(panels, sketch.span, note[:1].upper() + note[1:])
     return drawn("monitor", chart, f"{name_of(name)}: {OBSERVES.get(name, '')}")
 
 
@@ -197,16 +195,14 @@ def evidence_picture(sketch: Sketch) -> Chart:
     judged = [one for one in sketch.slots.values() if one.value.count.any()]
     if not judged:
         raise NotDrawn("no monitor judged any part of this flight")
-    panels, told = [], []
+    panels = []
     for one in judged:
-        name, limit = " ".join(filter(None, one.slot.key)).replace("_", " "), one.slot.threshold
+        name, limit = name_of(" ".join(filter(None, one.slot.key))), one.slot.threshold
         high = float(np.nanmax(one.value.high)) / limit
         lines = [one.value.area("pale"), *([one.value.area("fault", limit)] if high > 1 else [])]
         label = f"{name}: up to {100 * high:.0f} % of its threshold"
-        levels = [(limit, "")]
-        panels.append(Panel(label, lines, levels, y=(0.0, 1.25 * limit), height=22, ticks=False))
-        told.append(f"{name} {high:.2f}")
-    return Chart(panels, sketch.span, f"Highest share of the threshold: {', '.join(told)}.", kind="follow")
+        panels.append(Panel(label, lines, [(limit, "")], y=(0.0, 1.25 * limit), height=22, ticks=False))
+    return Chart(panels, sketch.span, kind="follow")
 
 
 def airframe_drawing(layout: RotorLayout, sketch: Sketch, named: Collection[int]) -> str:
@@ -255,16 +251,15 @@ def rates_picture(sketch: Sketch) -> Chart:
                 line.add((trace.t_ns - sketch.begin_ns) / NS_PER_S, getattr(trace, kind))
             lines.append(line.line("by the healthy model" if kind == "simulated" else kind, kind))
         panels.append(Panel(f"{rate.axis} rate [rad/s]", lines, height=150))
-    span = f"{start_s:.1f} to {stop_s:.1f} s of the flight"
-    rms = ((one.axis, math.sqrt(one.squares / one.judged)) for one in rates)
-    words = "; ".join(f"{axis}: simulated and measured differ by {value:.3f} rad/s rms" for axis, value in rms)
-    return Chart(panels, (start_s, stop_s), f"{span}. {words}.", f"Shown are {span}, about the longest FSD.")
+    rms = ", ".join(f"{one.axis} by {math.sqrt(one.squares / one.judged):.3f} rad/s" for one in rates)
+    shown = f"Shown are {start_s:.1f} to {stop_s:.1f} s of the flight, about the longest FSD."
+    return Chart(panels, (start_s, stop_s), f"{shown} Simulated and measured differ over the flight: {rms} rms.")
 
 
 @picture("residual")
 def residual_picture(sketch: Sketch) -> Chart:
     """The residual of all modelled axes over the flight, and where FSD exceeds FML."""
-    panels, words = [], []
+    panels, told = [], []
     for rate in _judged(sketch):
         margin, runs = rate.margin_rad_s, longest_by_column(rate.runs, MOST_RUNS)
         bands = [(begin, end, "alarm") for begin, end, fsd_s, _ in runs.T.tolist() if fsd_s > rate.fml_s]
@@ -272,14 +267,14 @@ def residual_picture(sketch: Sketch) -> Chart:
         line = rate.residual.line("where judged")
         panels.append(Panel(f"{rate.axis} residual [rad/s]", [line], levels, bands=bands, height=150))
         share = 100 * rate.outside / rate.judged
-        words.append(f"{rate.axis}: margin {margin:.3f} rad/s, outside of it for {share:.0f} % of the judged time")
-    return Chart(panels, sketch.span, f"{'; '.join(words)}.")
+        told.append(f"{rate.axis} {share:.0f} %")
+    return Chart(panels, sketch.span, f"It was outside for so much of the judged time: {', '.join(told)}.")
 
 
 @picture("fsd")
 def fsd_picture(sketch: Sketch) -> Chart:
     """The runs of all modelled axes over the flight."""
-    panels, told = [], []
+    panels = []
     for rate in _judged(sketch):
         _, end_s, fsd_s, _ = longest_by_column(rate.runs, MOST_RUNS)
         longer = fsd_s > rate.fml_s
@@ -287,8 +282,7 @@ def fsd_picture(sketch: Sketch) -> Chart:
         lines += [Line(end_s[longer], fsd_s[longer], "FSD > FML", "fault", "dots")] if longer.any() else []
         levels = [(rate.fml_s, f"FML {rate.fml_s:.3f}")]
         panels.append(Panel(f"{rate.axis} FSD [s]", lines, levels, y=(0.0, None)))
-        told.append(f"{rate.axis}: longest FSD {rate.longest[2]:.3f} s, FML {rate.fml_s:.3f} s")
-    return Chart(panels, sketch.span, f"{'; '.join(told)}.")
+    return Chart(panels, sketch.span)
 
 
 @picture("plane")
@@ -301,20 +295,17 @@ def plane_picture(sketch: Sketch, classifier: str | None) -> Chart:
     lines = [Line(few[2], few[3], "runs of this flight", "faint", "dots")]
     for look, kind in zip(LOOKS, FaultType if known else (), strict=False):
         (x, x_low, x_high), (y, y_low, y_high) = (of.T for of in fault_classes()[kind])
-        lines += [Line(x, y, NAMES[kind], f"{look} big", "dots")]
+        lines.append(Line(x, y, NAMES[kind], f"{look} big", "dots"))
         lines += [errors(x_low, x_high, y, y, look), errors(x, x, y_low, y_high, look)]
-    point = "none"
     if rate.runs.size:
-        fsd_s, peak = rate.longest[2:].tolist()
-        lines.append(Line(np.array([fsd_s]), np.array([peak]), "longest of this flight", "star", "dots"))
-        point = f"{fsd_s:.3f} s and {peak:.3f} rad/s"
+        fsd_s, peak = rate.longest[2:, None]
+        lines.append(Line(fsd_s, peak, "longest of this flight", "star", "dots"))
     right = 1.05 * float(np.nanmax(np.concatenate([[rate.fml_s], *(line.x for line in lines)])))
     note = "No classes are shown, for they are known for the emulated QDrone 2 alone."
     if known:
         note = "The class that it lies nearest to is the thesis's answer; the classes are of the emulated QDrone 2."
     panel = Panel(EXCESS, lines, marks=[(rate.fml_s, f"FML {rate.fml_s:.3f} s")], y=(0.0, None), height=220)
-    words = f"Longest run of this flight: {point}; FML {rate.fml_s:.3f} s."
-    return Chart([panel], (0.0, right), words, note, f"FSD, {rate.axis} [s]", kind="still")
+    return Chart([panel], (0.0, right), note, f"FSD, {rate.axis} [s]", kind="still")
 
 
 def errors(x_low: FloatArray, x_high: FloatArray, y_low: FloatArray, y_high: FloatArray, look: str) -> Line:
@@ -339,9 +330,8 @@ def severity_picture(sketch: Sketch, since_s: float | None, classifier: str | No
         lines += [Line(x, y, NAMES[kind], look), Line(x, y, "", f"{look} big", "dots")]
     lines.append(Line(np.array([unbalance]), np.array([peak]), "this flight", "star", "dots"))
     right = 1.05 * max(float(line.x.max()) for line in lines)
-    words = f"{unbalance:.2f} g mm beyond the healthy unbalance, residual {peak:.3f} rad/s above the margin."
     panel = Panel(EXCESS, lines, y=(0.0, None), height=220)
-    return Chart([panel], (0.0, right), f"This flight: {words}", "", "unbalance [g mm]", kind="still")
+    return Chart([panel], (0.0, right), x_label="unbalance [g mm]", kind="still")
 
 
 def unbalance_of(sketch: Sketch, since_s: float | None) -> float | None:
@@ -372,10 +362,8 @@ def attitude_picture(telemetry: Telemetry, sketch: Sketch) -> Chart:
         Panel(f"{angle} [°]", [sketch.series(series, column).line(name, look, 1 / DEG) for series, look, name in shown])
         for column, angle in enumerate(("roll", "pitch"))
     ]
-    most = ((name, np.nanmax(np.abs(series.values[:, :2]), axis=0, initial=0.0) / DEG) for series, _, name in shown)
-    words = "; ".join(f"{name}: roll within {roll:.0f}°, pitch within {pitch:.0f}°" for name, (roll, pitch) in most)
     note = "" if len(shown) == 2 else f"This log has {shown[0][2]} angles only."
-    return Chart(panels, sketch.span, f"{words}.", note)
+    return Chart(panels, sketch.span, note)
 
 
 def folded(hz: float, rate_hz: float) -> float:
@@ -406,10 +394,9 @@ def spectrum_picture(
         fold = "" if math.isclose(seen_hz, line[0]) else fold
         note = f"The line (upright) is at {line[0]:.0f} Hz by {line[1]}{fold}."
     note += "" if corner_hz is None else f" This stream is low-passed at {corner_hz:g} Hz: above it little is left."
-    peak = f"Highest peak at {hz[density.max(axis=1).argmax()]:.0f} Hz."
-    words = f"{peak} {spectrum.averaged} stretches of {SPECTRUM_S:g} s averaged."
+    note += f" The highest peak is at {hz[density.max(axis=1).argmax()]:.0f} Hz."
     panel = Panel("acceleration [m/s²/√Hz]", lines, marks=marks, height=200, log=True)
-    return Chart([panel], (0.0, rate_hz / 2), words, note, "frequency [Hz]", kind="still")
+    return Chart([panel], (0.0, rate_hz / 2), note, "frequency [Hz]", kind="still")
 
 
 def sweep_of(
@@ -445,7 +432,6 @@ def windows_picture(sweeps: Mapping[Axis, Sequence[SweepRow]], dt_s: float, wind
     ends = [math.log10(at) for fits in known.values() for at, _ in fits] + [math.log10(window_s)]
     ticks = [(math.log10(span), f"{span:g}") for span in WINDOWS_S if min(ends) - 0.05 <= math.log10(span)]
     marks = [(math.log10(window_s), f"baseline, {window_s:.3g} s")]
-    best = "; ".join(f"{axis}: best {max(fit for _, fit in fits):.3f}" for axis, fits in known.items())
     panel = Panel("fit R_T² of the simulated rate", lines, marks=marks, y=(None, 1.02), height=180)
     across = (min(ends) - 0.05, max([*ends, ticks[-1][0]]) + 0.05)
-    return Chart([panel], across, f"{best}.", "", "window [s]", ticks, kind="still")
+    return Chart([panel], across, x_label="window [s]", ticks=ticks, kind="still")

@@ -12,7 +12,7 @@ from mavdiag.judging import why_not
 from mavdiag.kernel import Gauge, Piece, Slot
 from mavdiag.link.codec import Decoder, Encoder, Frame
 from mavdiag.link.link import Link
-from mavdiag.link.messages import Autopilot, Component, MavType, MessageId
+from mavdiag.link.messages import Autopilot, Component, MavType, MessageId, Severity
 from mavdiag.link.ports import Endpoint, wait
 from mavdiag.link.signing import Signing, stamp_at
 from mavdiag.printable import printable
@@ -28,12 +28,29 @@ FIGURES = ("PF_RES", "PF_MARG", "PF_FSD", "PF_FML")  # of the thesis rule, as a 
 
 
 @dataclass(frozen=True, slots=True)
-class ReceivedText:
-    """A STATUSTEXT of the detector and the vehicle's time [s] when it came."""
+class Line:
+    """Something that happened: a STATUSTEXT of a detector, a change of a decision. t_s: vehicle's clock [s]."""
 
-    severity: int
-    text: str
     t_s: float
+    severity: Severity
+    text: str
+
+    @property
+    def head(self) -> str:
+        """When, and how grave it is."""
+        return f"{self.t_s:8.2f} s  {self.severity.name:<8} "
+
+    @property
+    def alert(self) -> bool:
+        """Whether it tells of a fault."""
+        return self.severity <= Severity.CRITICAL
+
+    @property
+    def style(self) -> str:
+        """Of rich."""
+        if self.alert:
+            return "bold red"
+        return "yellow" if self.severity <= Severity.WARNING else ""
 
 
 @dataclass(slots=True)
@@ -97,7 +114,7 @@ class GroundStation:
     speak: bool = True  # send heartbeats, so that autopilots pass on texts to this link
     vehicle: int | None = None  # the system id that is listened to; None for all
     key: bytes | None = None  # lets only frames pass that are signed with it
-    texts: list[ReceivedText] = field(default_factory=list)  # of the detectors, each with its own vehicle's time
+    texts: list[Line] = field(default_factory=list)  # of the detectors, each with its own vehicle's time
     figures: dict[str, float] = field(default_factory=dict)  # latest `FIGURES` of the vehicle that is shown
     link: Link = field(init=False)  # to the vehicle that is judged here
     _times: dict[int, float] = field(default_factory=dict)
@@ -121,9 +138,9 @@ class GroundStation:
         lost = 100 * count.lost / max(count.received + count.lost, 1)
         return f"vehicle {self.link.vehicle}: {count.received} messages, {lost:.2f} % lost"
 
-    def listen(self, timeout_s: float) -> list[ReceivedText | Change]:
+    def listen(self, timeout_s: float) -> list[Line | Change]:
         """Take in what comes within `timeout_s`, or sooner; return new texts, and changes of the judge's decision."""
-        fresh: list[ReceivedText | Change] = []
+        fresh: list[Line | Change] = []
         if self.speak and time.monotonic() >= self._beat_s:
             self._beat_s = time.monotonic() + BEAT_S
             beat = (MavType.GCS, Autopilot.INVALID, 0, 0, MAV_STATE_ACTIVE, MAVLINK_VERSION)
@@ -153,7 +170,7 @@ class GroundStation:
         """The time of the vehicle that is shown [s]; 0 before it is heard."""
         return 0.0 if self.shown is None else self._times.get(self.shown, 0.0)
 
-    def _take(self, frame: Frame, fresh: list[ReceivedText | Change]) -> None:
+    def _take(self, frame: Frame, fresh: list[Line | Change]) -> None:
         if self.vehicle not in (None, frame.sysid):
             return
         match frame.compid, frame.msgid:
@@ -161,7 +178,7 @@ class GroundStation:
                 self._times[frame.sysid] = frame.value("time_boot_ms") / 1e3
             case Component.ONBOARD_COMPUTER, MessageId.STATUSTEXT:
                 (severity,), t_s = frame.numbers("severity"), self._times.get(frame.sysid, 0.0)
-                self.texts.append(ReceivedText(severity, printable(frame.text("text")), t_s))
+                self.texts.append(Line(t_s, Severity(min(severity, Severity.DEBUG)), printable(frame.text("text"))))
                 fresh.append(self.texts[-1])
                 del self.texts[:-TEXTS]
             case Component.ONBOARD_COMPUTER, MessageId.NAMED_VALUE_FLOAT if self.shown in (None, frame.sysid):

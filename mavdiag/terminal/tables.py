@@ -1,4 +1,4 @@
-"""Answers about many logs as a table for a terminal, the gravest first. On a pipe they are lines."""
+"""Answers about many logs as a table for a terminal, the gravest first. On a pipe, or a narrow one, they are lines."""
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -16,9 +16,8 @@ from mavdiag.printable import counted, printable
 
 STYLES = {"fault": "bold red", "suspected": "yellow", "error": "magenta", "not_judgeable": "cyan", "healthy": "green"}
 ORDER = tuple(STYLES)
-WIDTHS = {"verdict": 9, "rotor": 7, "since (clock)": 7, "nearest monitor": 15}  # where names need the room
-WIDTHS |= {"log": 16, "what it shows": 24}  # at least; where a terminal is too narrow, columns are left out
-NUMBERS = ("rotor", "since (clock)", "ratio", "judged", "flight", "rate")  # columns that stand at the right
+FOLDED = ("log", "what it shows")  # columns that give way
+NUMBERS = ("rotor", "since\n(clock)", "ratio", "judged", "flight", "rate")  # columns that stand at the right
 
 
 def verdict_table(rows: Sequence[Row], console: Console | None = None) -> None:
@@ -40,7 +39,7 @@ def verdict_table(rows: Sequence[Row], console: Console | None = None) -> None:
     totals = Text(f"{counted(len(rows), 'log')}: ") + Text(", ").join(words)
     totals += Text(f"; judged {judged_s / 60:.1f} of {flown_s / 60:.1f} min")
     why = [Text(printable(f"{row['log']}: {row['reason']}")) for row in ranked if row["verdict"] == "error"]
-    _print(("log", "verdict", "rotor", "since (clock)", "nearest monitor", "ratio", "judged"), lines, console)
+    _print(("log", "verdict", "rotor", "since\n(clock)", "nearest\nmonitor", "ratio", "judged"), lines, console)
     for text in (totals, *why):
         (console or Console()).print(text)
 
@@ -66,16 +65,10 @@ def _styled(cells: Iterable[str | float | None], style: str) -> list[Text]:
 
 
 def _print(columns: Sequence[str], lines: Iterable[list[Text]], console: Console | None = None) -> None:
-    table, console, rows = Table(box=None, pad_edge=False, header_style="bold"), console or Console(), list(lines)
-    widths = [max(len(name), *(row[k].cell_len for row in rows)) for k, name in enumerate(columns)]
-    shown, wide = list(range(len(columns))), [name in ("log", "what it shows") for name in columns]
-    if sum(widths) + 2 * (len(shown) - 1) > console.width:
-        widths = [min(width, WIDTHS.get(name, width)) for width, name in zip(widths, columns, strict=True)]
-    while sum(widths[k] + 2 for k in shown) - 2 > console.width and len(shown) > 2:
-        shown.remove(max(k for k in shown if not wide[k]))
-    for k in shown:
-        side: Literal["right", "left"] = "right" if columns[k] in NUMBERS else "left"
-        table.add_column(columns[k], justify=side, width=None if wide[k] else widths[k], overflow="fold")
-    for row in rows:
-        table.add_row(*(row[k] for k in shown))
-    console.print(table)
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for name in columns:
+        side: Literal["right", "left"] = "right" if name in NUMBERS else "left"
+        table.add_column(name, justify=side, no_wrap=name not in FOLDED, overflow="fold")
+    for row in lines:
+        table.add_row(*row)
+    (console or Console()).print(table)

@@ -7,7 +7,7 @@ stands for a span of time and shows all values in it: a spike of one sample is n
 import math
 import textwrap
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from rich.bar import Bar
@@ -20,7 +20,7 @@ from mavdiag.decision.diagnosis import Change, Stage
 from mavdiag.link.messages import Severity
 from mavdiag.printable import printable
 from mavdiag.telemetry import Axis, BoolArray, FloatArray
-from mavdiag.terminal.ground_station import FIGURES, GroundStation, LiveJudge, ReceivedText
+from mavdiag.terminal.ground_station import FIGURES, GroundStation, Line, LiveJudge
 from mavdiag.traces import RateTrace, rate_traces
 from mavdiag.units import NS_PER_S
 
@@ -77,37 +77,6 @@ class Level:
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
-    """Something that happened. t_s: vehicle's clock [s]."""
-
-    t_s: float
-    severity: Severity
-    text: str
-
-    @property
-    def head(self) -> str:
-        """When, and how grave it is."""
-        return f"{self.t_s:8.2f} s  {self.severity.name:<8} "
-
-    @property
-    def alert(self) -> bool:
-        """Whether it tells of a fault."""
-        return self.severity <= Severity.CRITICAL
-
-    @property
-    def style(self) -> str:
-        """Of rich."""
-        if self.alert:
-            return "bold red"
-        return "yellow" if self.severity <= Severity.WARNING else ""
-
-    @property
-    def shown(self) -> Text:
-        """As one line, however long."""
-        return Text(self.head + printable(self.text), style=self.style, no_wrap=True)
-
-
-@dataclass(frozen=True, slots=True)
 class View:
     """All that is shown."""
 
@@ -154,10 +123,10 @@ def _events(told: Sequence[Line], width: int, most: float, room: float) -> list[
     return [text for index in sorted(chosen) for text in chosen[index]]
 
 
-def line_for(news: ReceivedText | Change, text_from: str = "", change_from: str = "") -> Line:
+def line_for(news: Line | Change, text_from: str = "", change_from: str = "") -> Line:
     """A text of a detector, or a change of a decision, as a line. text_from, change_from: say whose they are."""
-    if isinstance(news, ReceivedText):
-        return Line(news.t_s, Severity(min(news.severity, Severity.DEBUG)), f"{text_from}{news.text}")
+    if isinstance(news, Line):
+        return replace(news, text=f"{text_from}{news.text}")
     words = str(news).partition(" s ")[2]
     return Line(news.t_ns / NS_PER_S, SEVERITY.get(news.stage, Severity.INFO), f"{change_from}{words}")
 

@@ -16,16 +16,18 @@ from typing import Any, Self
 import numpy as np
 from rich.console import Console
 from rich.live import Live
+from rich.text import Text
 
 from mavdiag.decision.diagnosis import Change, Stage
 from mavdiag.decision.words import diagnosis_line
 from mavdiag.errors import InputError
 from mavdiag.link.messages import Severity
+from mavdiag.printable import printable
 from mavdiag.rows.front import in_pieces
 from mavdiag.storage import open_regular
 from mavdiag.telemetry import Axis, Log, Signal
-from mavdiag.terminal.ground_station import GroundStation, LiveJudge
-from mavdiag.terminal.view import SEVERITY, STYLES, Line, View, figure_levels, levels_of, line_for, picture, rate_strips
+from mavdiag.terminal.ground_station import GroundStation, Line, LiveJudge
+from mavdiag.terminal.view import SEVERITY, STYLES, View, figure_levels, levels_of, line_for, picture, rate_strips
 from mavdiag.units import NS_PER_S
 
 PER_S = 10
@@ -42,19 +44,12 @@ SILENT = "nothing was received; is the vehicle or the detector sending to this a
 class Screen(ExitStack):
     """A picture of all events so far, drawn again and again on a terminal; on anything else one line an event."""
 
-    def __init__(
-        self, draw: Callable[[Sequence[Line]], View], *, quiet: bool = False, console: Console | None = None
-    ) -> None:
+    def __init__(self, draw: Callable[[Sequence[Line]], View], *, console: Console | None = None) -> None:
         super().__init__()
-        self._draw, self._quiet, self._console = draw, quiet, console or Console()
+        self._draw, self._console = draw, console or Console()
         self._live: Live | None = None
         self._size, self._until = self._console.size, 0.0
         self._events: list[Line] = []
-
-    def __enter__(self) -> Self:
-        if self._console.is_terminal and not self._quiet:
-            self._live = self.enter_context(Live(console=self._console, auto_refresh=False))
-        return self
 
     def forget(self) -> None:
         """Leave out what happened so far."""
@@ -65,9 +60,10 @@ class Screen(ExitStack):
         events = [*self._events, *fresh]
         older = [line for line in events[:-EVENTS] if line.alert]
         self._events[:] = [*older[-EVENTS:], *events[-EVENTS:]]
-        if self._live is None:
-            for line in () if self._quiet else fresh:
-                self._console.print(line.shown, soft_wrap=True, highlight=False)
+        if not self._console.is_terminal:
+            for line in fresh:
+                shown = Text(line.head + printable(line.text), style=line.style)
+                self._console.print(shown, soft_wrap=True, highlight=False)
             return True
         now, size = self._console.get_time(), self._console.size
         if not last and now < self._until:
@@ -76,8 +72,8 @@ class Screen(ExitStack):
         if size != self._size:  # what was drawn for the old one would stay in part
             self.close()
             self._console.clear()
-            self._size = size
-            self._live = self.enter_context(Live(console=self._console, auto_refresh=False))
+            self._size, self._live = size, None
+        self._live = self._live or self.enter_context(Live(console=self._console, auto_refresh=False))
         self._live.update(picture(self._draw(self._events), size.width, size.height - 1), refresh=True)
         return True
 
@@ -89,7 +85,7 @@ def watch(station: GroundStation, address: str, axis: Axis, span_s: float, ended
         now_s = station.t_s if station.judge is None else station.judge.now_s or 0.0
         shown = replace(link_view(station, now_s, span_s, axis, events), title=f"{address}  {now_s:.1f} s")
         if station.judge is None:
-            alerts = [line.text for line in events if line.severity <= Severity.CRITICAL]
+            alerts = [line.text for line in events if line.alert]
             says = alerts[-1] if alerts else "no alert of a detector so far"
             shown = replace(shown, headline=says, stage=Stage.FAULT if alerts else Stage.NOT_JUDGED)
         return shown if station.heard else replace(shown, headline=SILENT)
@@ -107,7 +103,7 @@ def listen(
 ) -> list[Change]:
     """Show what a ground station hears until `ended`, with `whose` before texts and changes; return the changes."""
     changes: list[Change] = []
-    with Screen(view, quiet=quiet) as screen:
+    with Screen(view, console=Console(quiet=quiet)) as screen:
         last = False
         while not last:
             last = ended()

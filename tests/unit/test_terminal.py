@@ -34,9 +34,9 @@ from mavdiag.logs import read_log
 from mavdiag.printable import printable
 from mavdiag.telemetry import Axis
 from mavdiag.terminal import watching
-from mavdiag.terminal.ground_station import FIGURES, GroundStation, LiveJudge
+from mavdiag.terminal.ground_station import FIGURES, GroundStation, Line, LiveJudge
 from mavdiag.terminal.tables import verdict_table
-from mavdiag.terminal.view import Curve, Level, Line, StripView, View, figure_levels, picture, strip
+from mavdiag.terminal.view import Curve, Level, StripView, View, figure_levels, picture, strip
 from mavdiag.terminal.watching import KEYS, Journal, Key, Position, Screen, follow, keys_in, play
 
 LEVEL = Level("unbalance", 0.5, 1.0, "g mm")
@@ -154,18 +154,14 @@ def test_every_rotor_that_was_named_stands_in_the_table() -> None:
     console = Console(width=100, file=io.StringIO(), record=True)
     verdict_table([row, {**row, "log": "b.bin", "rotors": None}], console)
     lines = console.export_text().splitlines()
-    assert "rotor" in lines[0]
-    assert [" ".join(line.split()[:4]) for line in lines[1:3]] == ["a.bin fault 1,4 98.7", "b.bin fault 4 98.7"]
+    assert "rotor" in lines[1]
+    assert [" ".join(line.split()[:4]) for line in lines[2:4]] == ["a.bin fault 1,4 98.7", "b.bin fault 4 98.7"]
     console = Console(width=80, file=io.StringIO(), record=True)  # a narrow one leaves room for the names
     row |= {"verdict": "not_judgeable", "rotor": None, "since_s": 1098.9, "monitor": "rotor_signature"}
     verdict_table([{**row, "log": f"turning_nose_{number}_healthy.tlog"} for number in range(3)], console)
     lines = console.export_text().splitlines()
     assert len(lines) == 2 + 2 * 3 + 1
     assert all(len(line) <= 80 for line in lines)
-    for width in (30, 40, 60):  # columns are left out, never the log and its verdict
-        console = Console(width=width, file=io.StringIO(), record=True)
-        verdict_table([row], console)
-        assert "a.bin not" in " ".join(console.export_text().split())
 
 
 def _line(kind: str, number: int, **content: object) -> str:
@@ -242,11 +238,11 @@ def test_a_line_now_and_then_in_a_pipe(clock: list[float], capsys: pytest.Captur
             clock[0] = float(second)
             progress.add(1.0)
     left = {10: "0:01:30", 40: "0:01:00", 70: "0:00:30"}
-    lines = [] if quiet else [f"judged: {n} of 100, 1 a second, {words} left" for n, words in left.items()]
+    lines = [] if quiet else [f"judged: {n} of 100, {words} left" for n, words in left.items()]
     assert capsys.readouterr() == ("", "".join(f"{line}\n" for line in lines))
 
 
-@pytest.mark.parametrize(("seconds", "words"), [(5.0, "5 s each, 0:00:25"), (500.0, "500 s each, 0:41:40")])
+@pytest.mark.parametrize(("seconds", "words"), [(5.0, "0:00:25"), (500.0, "0:41:40")])
 def test_a_bar_is_one_line_makes_room_and_goes_away(
     clock: list[float], monkeypatch: pytest.MonkeyPatch, seconds: float, words: str
 ) -> None:
