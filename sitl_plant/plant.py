@@ -19,10 +19,10 @@ import numpy as np
 from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray, IntArray
 from sitl_plant.physics.air import Dryden, dryden
-from sitl_plant.physics.airframe import NEVER, NO_PAYLOAD, Airframe, Payload, PickUp, Wear, drone
+from sitl_plant.physics.airframe import NEVER, NO_PAYLOAD, Airframe, Payload, PickUp, Wear, drone, step_at
 from sitl_plant.physics.control import Controller
 from sitl_plant.physics.faults import Injection, fault_injection, rotor_condition, sensor_condition
-from sitl_plant.physics.kernel import TOLD, Model, Recorded, Streams, fly, told_parts
+from sitl_plant.physics.kernel import Model, Recorded, Streams, fly, told_columns
 from sitl_plant.physics.parameters import STEP_S, initial_state, make_model, recorded_set, reload
 from sitl_plant.physics.trajectory import ARM_S, LIFT_S, REFERENCE, Leg, Nose, Path, Shape, follow, landing_time, path
 from sitl_plant.vehicle import Vehicle, qdrone2
@@ -171,8 +171,7 @@ class Plant:
         self.config = config
         self.airframe = config.airframe or drone(config.vehicle, config.drone)
         self.rotors = rotors = len(self.airframe.vehicle.rotors)
-        places = told_parts(np.arange(TOLD + 2.0 * rotors), rotors)
-        self._columns = {name: slice(int(place[0]), int(place[-1]) + 1) for name, place in places.items()}
+        self._columns = told_columns(rotors)
         gusts, towards_rad = config.gusts(), config.wind_towards_rad
         wind = config.wind_m_s * np.array([math.cos(towards_rad), math.sin(towards_rad), 0.0])  # world NED
         turbulence = None if gusts is None else (gusts, towards_rad)
@@ -183,8 +182,8 @@ class Plant:
         self._model: Model = make_model(self.airframe, config.payload, config.path(), wind, gusts is not None)
         self._state = initial_state(self._model, azimuth, self.airframe.charge_used_ah)
         self._own: Recorded | None = None
-        if self.airframe.vehicle.recorded is not None:
-            self._own, own_noise = recorded_set(self.airframe, self._model, self._state, config.seed)
+        if (recorded := self.airframe.vehicle.recorded) is not None:
+            self._own, own_noise = recorded_set(self.airframe, recorded, self._model, self._state, config.seed)
             self._streams.take_imus(own_noise)
         self._changes: deque[Change] = deque(maxlen=CHANGES_MAX)
         if config.commanded:
@@ -259,15 +258,14 @@ class Plant:
     def _run(self, steps: int, commands: FloatArray) -> PlantSamples:
         if steps < 0:
             raise UsageError(f"cannot advance by {steps} steps")
-        rows, esc = np.empty((steps, TOLD + 2 * self.rotors)), np.empty((steps, self.rotors if self._own else 0))
-        first, done = self._step, 0
+        rows, first, done = np.empty((steps, len(self._state.told))), self._step, 0
         while done < steps:
             if self._step >= self._changes_at:
                 self._renew_condition()
             count = min(steps - done, self._changes_at - self._step)
             noise, part = self._streams.draw(self._step, count, self._model), slice(done, done + count)
             held = self._model, self._own, self._rotors, self._sensors, self._state
-            fly(self._step, noise, commands[part], rows[part], esc[part], *held)
+            fly(self._step, noise, commands[part], rows[part], *held)
             self._step += count
             done += count
         t_ns = (first + np.arange(steps, dtype=np.int64)) * STEP_NS
@@ -277,8 +275,8 @@ class Plant:
         sensed = imu[:, :3], imu[:, 3:], told["estimate"], told["duty"], battery_v, charge_ah
         truth = rigid[:, 6:10], rigid[:, :3], rigid[:, 3:6], rigid[:, 10:13], speed
         motors = told["motors"][:, 0].astype(np.int64)
-        told_speed = esc if self._own else speed
-        return PlantSamples(t_ns, told["setpoint"], told["rate"], thrust, *sensed, motors, *truth, told_speed)
+        esc = told["esc"] if self._own else speed
+        return PlantSamples(t_ns, told["setpoint"], told["rate"], thrust, *sensed, motors, *truth, esc)
 
     def _renew_condition(self) -> None:
         changes = [injection.first_step(STEP_S) for injection in self._injections]
@@ -290,7 +288,7 @@ class Plant:
             self._rotors.thrust_gain[:] *= self.config.wear.gain(self._step * STEP_S)
             changes.append(self._step + WEAR_STEPS)
         if self.config.pickup is not None:
-            first, end = self.config.pickup.span(STEP_S)
+            first, end = (step_at(t_s, STEP_S) for t_s in (self.config.pickup.at_s, self.config.pickup.drop_s))
             changes += [first, end]
             hangs = first <= self._step < end
             if hangs != self._loaded:

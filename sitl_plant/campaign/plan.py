@@ -26,7 +26,7 @@ from mavdiag.errors import UsageError
 from mavdiag.monitors.base import FaultKind
 from mavdiag.units import S_PER_H
 from sitl_plant.autopilot.telemetry import LinkSpec
-from sitl_plant.physics.faults import FAULTS, Fault, Injection, RotorDamage, SensorFault
+from sitl_plant.physics.faults import FAULTS, Injection, RotorDamage, SensorFault
 from sitl_plant.physics.parameters import STEP_S
 from sitl_plant.physics.sensors import isolating_hz
 from sitl_plant.plant import PlantConfig
@@ -60,11 +60,11 @@ class Cause(NamedTuple):
     """What goes wrong; a sensor fault acts on a random axis, with a random sign of offset and drift."""
 
     group: Group
-    what: Fault | RotorDamage | SensorFault
+    what: RotorDamage | SensorFault
 
 
 CAUSES: Mapping[str, Cause] = {
-    **{fault.code: Cause(Group.FAULT, fault) for fault in FAULTS},
+    **{code: Cause(Group.FAULT, damage) for code, damage in FAULTS.items()},
     "chipping": Cause(Group.BLADE, RotorDamage(1.0 - 0.03, 1.03, unbalance_g_mm=0.05 * 60.0)),
     "bending": Cause(Group.BLADE, RotorDamage(1.0 - 0.04, 1.05)),
     "added-mass": Cause(Group.BLADE, RotorDamage(unbalance_g_mm=0.05 * 50.0)),
@@ -101,9 +101,9 @@ def injections_of(
     if name == HEALTHY:
         return ()
     cause = CAUSES[name].what
-    if isinstance(cause, Fault):
-        cause = cause.damage(phenomenology)
-    elif isinstance(cause, SensorFault):
+    if isinstance(cause, RotorDamage):
+        cause = cause.fitted(phenomenology)
+    else:
         axis, sign = int(rng.integers(3)), float(rng.choice([-1.0, 1.0]))
         cause = replace(cause, axis=axis, offset=sign * cause.offset, drift_per_s=sign * cause.drift_per_s)
     return (Injection(cause, rotor, onset_s),)

@@ -57,10 +57,6 @@ class PickUp:
         if not (math.isfinite(self.at_s) and 0.0 < self.at_s < self.drop_s):
             raise UsageError(f"a pick-up must be after the start and before the drop, not at {self.at_s:g} s")
 
-    def span(self, dt_s: float) -> tuple[int, int]:
-        """First step with the payload, and first step without it again."""
-        return step_at(self.at_s, dt_s), step_at(self.drop_s, dt_s)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Airframe:

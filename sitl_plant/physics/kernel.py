@@ -10,7 +10,7 @@ flight is cut into calls therefore changes nothing, and a purpose that is not as
 """
 
 import math
-from collections.abc import Iterator
+from itertools import accumulate, pairwise, starmap
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -44,7 +44,7 @@ class Model(NamedTuple):
 class State(NamedTuple):
     """All that changes, updated in place; the last four are what the steps overwrite."""
 
-    told: FloatArray  # what is recorded of a step, one after the other; others are views of it, see `told_parts`
+    told: FloatArray  # what is recorded of a step, one after the other; others are views of it, see `told_columns`
     rigid: FloatArray  # (13,)
     wrench: FloatArray  # (3, 8)
     wind: FloatArray  # (3,)
@@ -74,7 +74,7 @@ class Recorded(NamedTuple):
     imu_state: sensors.TwinImuState
     estimates: control.TwinEstimate
     queue: FloatArray  # (delay + 1, n) duties under way
-    esc: FloatArray  # (n,) reported speeds [rad/s], NaN before the first frame
+    esc: FloatArray  # (n,) reported speeds [rad/s], NaN before the first frame; a view of `State.told`
 
 
 class Noise(NamedTuple):
@@ -87,14 +87,12 @@ class Noise(NamedTuple):
     occlusion: FloatArray  # (frames, m), uniform
 
 
-def told_parts(told: FloatArray, rotors: int) -> dict[str, FloatArray]:
-    """The parts of what is recorded, as views; in one piece a step is recorded by one copy. told: (..., 41 + 2 n)."""
+def told_columns(rotors: int) -> dict[str, slice]:
+    """Where the parts of what is recorded stand; in one piece a step is recorded by one copy."""
     widths = {"setpoint": 3, "rate": 3, "wrench": 4, "motors": 1, "imu": sensors.CHANNELS, "estimate": control.ESTIMATE}
-    widths |= {"rigid": dynamics.RIGID, "battery": 2, "duty": rotors, "speed": rotors}
-    return dict(zip(widths, np.split(told, np.cumsum([*widths.values()])[:-1], axis=-1), strict=True))
-
-
-TOLD = 41  # numbers recorded of a step, and two for each rotor
+    widths |= {"rigid": dynamics.RIGID, "battery": 2, "duty": rotors, "speed": rotors, "esc": rotors}
+    ends = accumulate(widths.values(), initial=0)
+    return dict(zip(widths, starmap(slice, pairwise(ends)), strict=True))
 
 
 @inline
@@ -146,13 +144,6 @@ def _decide(state: State, model: Model, own: Recorded | None, commands: FloatArr
         control.control(state.control, model.controller, path, pose, seen, seen[3], estimate, lifts, volts, dt)
 
 
-@jit
-def _copy(source: FloatArray, rows: FloatArray, row: int) -> None:
-    """A plain loop, because slice assignment is slow in compiled code."""
-    for i in range(len(source)):
-        rows[row, i] = source[i]
-
-
 @inline
 def _move(
     state: State, model: Model, own: Recorded | None, condition: rotors.Condition, noise: Noise, row: int, step: int
@@ -183,7 +174,6 @@ def fly(
     noise: Noise,
     commands: FloatArray,
     rows: FloatArray,
-    esc: FloatArray,
     model: Model,
     own: Recorded | None,
     condition: rotors.Condition,
@@ -192,8 +182,7 @@ def fly(
 ) -> None:
     """Fly as many steps as there are rows, from step `first` on; 0 is t = 0. `state` and `own` are updated in place.
 
-    commands: (steps, n) duties, or (0, n) to let the controller fly. rows: (steps, 41 + 2 n), see `told_parts`.
-    esc: (steps, n) the speeds that the ESCs told, of a recorded set.
+    commands: (steps, n) duties, or (0, n) to let the controller fly. rows: see `told_columns`.
     """
     frame = 0
     for row in range(len(rows)):
@@ -203,37 +192,27 @@ def fly(
             frame += 1
         _sense(state, model, own, faults, noise, row, step)
         _decide(state, model, own, commands, row, step)
-        _copy(state.told, rows, row)
-        if own is not None:
-            _copy(own.esc, esc, row)
+        for i in range(len(state.told)):  # slice assignment is slow in compiled code
+            rows[row, i] = state.told[i]
         _move(state, model, own, condition, noise, row, step)
-
-
-def outages(per_min: float, rng: np.random.Generator) -> Iterator[tuple[float, float]]:
-    """When the cameras see no marker at all: `per_min` times a minute on average, the gaps between exponential [s]."""
-    end = 0.0
-    while True:
-        start = end + float(rng.exponential(60.0 / per_min))
-        end = start + float(rng.uniform(*OUTAGE_S))
-        yield start, end
 
 
 class Streams:
     """The streams of one flight.
 
     turbulence: Dryden gusts and where the wind blows to [rad]; None for the gusts of the vehicle's file.
-    outages_per_min: of the cameras; 0 for none.
+    outages_per_min: how often on average the cameras see no marker at all; the gaps between are exponential.
     """
 
     def __init__(
         self, seed: int, dt_s: float, turbulence: tuple[Dryden, float] | None = None, outages_per_min: float = 0.0
     ) -> None:
-        *children, gusts, lost = map(np.random.default_rng, np.random.SeedSequence(seed).spawn(8))
+        *children, gusts, self._lost = map(np.random.default_rng, np.random.SeedSequence(seed).spawn(8))
         self.angle, self.rotors, self.imu, self.wind, self.markers, self.occlusion = children
         self._dt_s, self._imu_columns = dt_s, sensors.CHANNELS
         self._gusts = Turbulence(*turbulence, dt_s, gusts) if turbulence is not None else None
-        self._coming = outages(outages_per_min, lost) if outages_per_min else None
-        self._outages = [(-math.inf, -math.inf)]  # so far; the last one begins after all frames
+        self._outage_gap_s = 60.0 / outages_per_min if outages_per_min else math.inf
+        self._outages = [(-math.inf, 0.0)]  # so far; the last one begins after all frames
 
     def take_imus(self, imus: np.random.Generator) -> None:
         """Draw from now on for both IMUs of a vehicle as it was recorded, from a stream of their own."""
@@ -245,11 +224,12 @@ class Streams:
         frame = math.ceil(first / period)
         frames = math.ceil((first + count) / period) - frame
         occlusion = self.occlusion.random((frames, markers))
-        if self._coming is not None:
+        if self._outage_gap_s < math.inf:
             at_s = np.arange(frame, frame + frames, dtype=np.float64) * (period * self._dt_s)
             while frames and self._outages[-1][0] <= at_s[-1]:
-                self._outages.append(next(self._coming))
-            for start, end in self._outages:
+                start = self._outages[-1][1] + float(self._lost.exponential(self._outage_gap_s))
+                self._outages.append((start, start + float(self._lost.uniform(*OUTAGE_S))))
+            for start, end in self._outages[1:]:
                 occlusion[(start <= at_s) & (at_s < end)] = -1.0  # less than any probability: hidden
         return Noise(
             rotors=self.rotors.standard_normal((count, 2 * len(model.rotors.sign))),

@@ -12,7 +12,6 @@ import zlib
 
 import numpy as np
 
-from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray
 from mavdiag.units import RPM
 from sitl_plant.physics import control, kernel, mocap, rotors, sensors
@@ -42,6 +41,7 @@ def make_model(
     noise = math.sqrt(0.5 / STEP_S) * np.repeat([imu.gyro_noise_density, imu.accel_noise_density], 3)
     torque = propulsion.thrust_coefficient_n_s2 / propulsion.thrust_per_torque_1_m
     period = max(1, round(1.0 / (cameras.rate_hz * STEP_S)))
+    gust_rms = float(vehicle.wind.gust_intensity * np.linalg.norm(wind_N))
     return kernel.Model(
         dt=STEP_S,
         body=body,
@@ -65,7 +65,7 @@ def make_model(
             power_per_cube=torque / battery.drive_efficiency,
             avionics=battery.avionics_a,
         ),
-        air=_air(vehicle, wind_N, turbulent),
+        air=Air(wind_N, 1.0, 0.0) if turbulent else Air(wind_N, gust_rms, _decay(vehicle.wind.gust_corner_hz)),
         imu=sensors.Imu(
             position=np.asarray(imu.position_m) - centre,
             bias=np.concatenate([airframe.gyro_bias, np.zeros(3)]),
@@ -91,14 +91,6 @@ def make_model(
         controller=make_controller(vehicle),
         path=path,
     )
-
-
-def _air(vehicle: Vehicle, wind_N: FloatArray, turbulent: bool = False) -> Air:
-    """The wind, with arguments as those of `make_model`."""
-    if turbulent:
-        return Air(wind_N, 1.0, 0.0)
-    wind = vehicle.wind
-    return Air(wind_N, float(wind.gust_intensity * np.linalg.norm(wind_N)), _decay(wind.gust_corner_hz))
 
 
 def body_with_payload(airframe: Airframe, *payloads: Payload) -> tuple[Body, FloatArray]:
@@ -194,8 +186,9 @@ def initial_state(model: kernel.Model, azimuth: FloatArray, charge_used_ah: floa
     lift = weight if start[8] == FLYING else 0.0
     speed = np.sqrt(lift / n / model.rotors.thrust_coefficient)
     z = np.zeros
-    told = z(kernel.TOLD + 2 * n)
-    parts = kernel.told_parts(told, n)
+    columns = kernel.told_columns(n)
+    told = z(columns["esc"].stop)
+    parts = {name: told[place] for name, place in columns.items()}
     rigid, reading, estimate, wrench = parts["rigid"], parts["imu"], parts["estimate"], z((STAGES, WRENCH))
     parts["battery"][:] = model.battery.open_circuit - model.battery.slope * charge_used_ah, charge_used_ah
     parts["wrench"][0], parts["motors"][0], parts["speed"][:] = lift, start[8], speed
@@ -246,12 +239,9 @@ def reload(model: kernel.Model, state: kernel.State, airframe: Airframe, payload
 
 
 def recorded_set(
-    airframe: Airframe, model: kernel.Model, state: kernel.State, seed: int
+    airframe: Airframe, recorded: RecordedSet, model: kernel.Model, state: kernel.State, seed: int
 ) -> tuple[kernel.Recorded, np.random.Generator]:
     """The recorded set for one flight, and the stream of its sensors. `state` is set to its trim."""
-    recorded = airframe.vehicle.recorded
-    if recorded is None:
-        raise UsageError(f"{airframe.vehicle.name} has no table [recorded]")
     levels, session = np.random.SeedSequence([seed, FLIGHT_STREAM]).spawn(2)
     scale = math.exp(recorded.session_rms * np.random.default_rng(levels).standard_normal())
     flown, dt, n, z = state.control, model.dt, len(state.control.duty), np.zeros
@@ -274,6 +264,8 @@ def recorded_set(
     )
     accel, still = reading[:, 3:].copy(), [z((imus, 3)) for _ in range(3)]
     lifted = recorded.thrust_over_command * airframe.battery_gain
+    esc = state.told[-n:]
+    esc[:] = np.nan
     own = kernel.Recorded(
         imus=_imus(airframe, recorded, model, scale),
         estimators=control.TwinEstimator(rate, slope, speed, recorded.complementary_p, recorded.complementary_i),
@@ -285,7 +277,7 @@ def recorded_set(
         imu_state=twin,
         estimates=control.TwinEstimate(angle, still[0], still[1], accel, still[2], z((imus, 2)), pose.copy(), z(4)),
         queue=queue,
-        esc=np.full(n, np.nan),
+        esc=esc,
     )
     return own, np.random.default_rng(session)
 
