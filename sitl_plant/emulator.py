@@ -19,13 +19,11 @@ from mavdiag.link.ports import Endpoint, wait
 from mavdiag.link.signing import Signing
 from mavdiag.logs.tlog import tlog_record
 from mavdiag.storage import replacing
-from sitl_plant.autopilot.commands import Autopilot, PlantOrder
+from sitl_plant.autopilot.commands import Autopilot
 from sitl_plant.autopilot.dialect import Dialect
 from sitl_plant.autopilot.stream import FilteredSamples, ImuFilters, Message, messages_due
 from sitl_plant.autopilot.wire import Action, Reply
 from sitl_plant.options import FlightPlan
-from sitl_plant.physics.faults import Injection
-from sitl_plant.physics.trajectory import Leg
 from sitl_plant.plant import STEP_NS, Plant, PlantSamples
 
 EPOCH_US = 1_767_225_600_000_000  # of records, 2026-01-01T00:00:00Z: equal options give equal files
@@ -107,16 +105,6 @@ class Link:
             self.endpoint.send(self._senders[source].encode_payload(frame.msgid, frame.payload))
 
 
-def obey(plant: Plant, order: PlantOrder) -> None:
-    """Do with the plant what the autopilot wants."""
-    if isinstance(order, Leg):
-        plant.lead(order)
-    elif isinstance(order, Injection):
-        plant.inject(order)
-    else:  # "clear"
-        plant.clear()
-
-
 def fly(
     plant: Plant,
     dialect: Dialect,
@@ -175,7 +163,7 @@ def fly(
         actions, orders = autopilot.watch(filtered.samples)
         act(actions)
         for order in orders:
-            obey(plant, order)
+            order(plant)
     half_s, most_s = np.percentile(late, [50, 99]).tolist() if late else (0.0, 0.0)
     spans_s = plant.t_ns * 1e-9, time.monotonic() - started_s, time.process_time() - started_cpu_s
     dropped, late_ms = sum(one.traffic.dropped for one in endpoints), (1e3 * half_s, 1e3 * most_s, 1e3 * late_max_s)

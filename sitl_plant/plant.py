@@ -19,7 +19,7 @@ import numpy as np
 from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray, IntArray
 from sitl_plant.physics.air import Dryden, dryden
-from sitl_plant.physics.airframe import NEVER, NO_PAYLOAD, Airframe, Payload, PickUp, Wear, drone, step_at
+from sitl_plant.physics.airframe import NEVER, NO_PAYLOAD, Airframe, Payload, Wear, drone, step_at
 from sitl_plant.physics.control import Controller
 from sitl_plant.physics.faults import Injection, fault_injection, rotor_condition, sensor_condition
 from sitl_plant.physics.kernel import Model, Recorded, Streams, fly, told_columns
@@ -58,7 +58,8 @@ class PlantConfig:
     wind_towards_rad: float = math.pi / 4  # where the wind blows to; 0 is north, pi/2 east
     payload: Payload = NO_PAYLOAD
     turbulence_m_s: float = 0.0  # wind W20 of Dryden turbulence, in place of the vehicle file's gusts; 0 for the latter
-    pickup: PickUp | None = None  # taken up, and perhaps dropped, in flight
+    pickup: Payload | None = None  # taken up, and perhaps dropped, in flight; it moves as the vehicle does
+    pickup_s: tuple[float, float] = (10.0, math.inf)  # flight times at which it is taken up, and dropped
     outages_per_min: float = 0.0  # how often motion capture is lost for `streams.OUTAGE_S`
     wear: Wear | None = None  # what the propellers lose with the hours
     seed: int = 0
@@ -92,6 +93,8 @@ class PlantConfig:
         if not 0.0 <= self.outages_per_min <= MOST_OUTAGES_PER_MIN:
             most = f"{MOST_OUTAGES_PER_MIN:g} times a minute"
             raise UsageError(f"motion capture may fail up to {most}, not {self.outages_per_min:g}")
+        if not (math.isfinite(self.pickup_s[0]) and 0.0 < self.pickup_s[0] < self.pickup_s[1]):
+            raise UsageError(f"a pick-up must be after the start and before the drop, not at {self.pickup_s[0]:g} s")
         if self.wear is not None and len(self.wear.loss_per_h) != len(self.flown_vehicle.rotors):
             raise UsageError(f"wear needs a loss for each of {len(self.flown_vehicle.rotors)} rotors")
 
@@ -288,11 +291,11 @@ class Plant:
             self._rotors.thrust_gain[:] *= self.config.wear.gain(self._step * STEP_S)
             changes.append(self._step + WEAR_STEPS)
         if self.config.pickup is not None:
-            first, end = (step_at(t_s, STEP_S) for t_s in (self.config.pickup.at_s, self.config.pickup.drop_s))
+            first, end = (step_at(t_s, STEP_S) for t_s in self.config.pickup_s)
             changes += [first, end]
             hangs = first <= self._step < end
             if hangs != self._loaded:
-                payloads = (self.config.payload, *((self.config.pickup.payload,) if hangs else ()))
+                payloads = (self.config.payload, *((self.config.pickup,) if hangs else ()))
                 self._model = reload(self._model, self._state, self.airframe, payloads)
                 self._loaded = hangs
         self._changes_at = min((step for step in changes if step > self._step), default=NEVER)

@@ -42,7 +42,7 @@ from sitl_plant.campaign.plan import (
     parse_link,
     task_sequence,
 )
-from sitl_plant.physics.airframe import Airframe, Payload, PickUp, Wear, draw_airframe, in_session, with_propellers
+from sitl_plant.physics.airframe import Airframe, Payload, Wear, draw_airframe, in_session, with_propellers
 from sitl_plant.plant import PlantConfig
 from sitl_plant.vehicle import Vehicle, airframe_of
 
@@ -69,8 +69,6 @@ class LearnResult:
     """A baseline, as text, or why there is none."""
 
     key: str
-    airframe: int
-    link: str
     baseline: str = ""
     error: str = ""
     record: Literal["learn"] = "learn"
@@ -78,12 +76,11 @@ class LearnResult:
 
 @dataclass(frozen=True, slots=True)
 class MonitorResult:
-    """One monitor in one flight: alarms before and after the onset, the first of these after it, time judged [s]."""
+    """One monitor in one flight: alarms before and after the onset, time judged [s]."""
 
     name: str
     before: int
     after: int
-    latency_s: float | None
     judged_s: float = 0.0
 
 
@@ -171,15 +168,15 @@ def _on_the_day(seed: int, airframe: Airframe, task: FlightTask) -> tuple[Airfra
     return airframe, Wear(tuple((row.wear_per_h * losses).tolist()), WEAR_H * float(rng.random()))
 
 
-def _pickup(task: FlightTask, rng: np.random.Generator) -> PickUp | None:
+def _pickup(task: FlightTask, rng: np.random.Generator) -> dict[str, Any]:
     row = CONDITIONS[task.conditions.condition]
     if not row.pickup_g:
-        return None
+        return {}
     angle, at_s, drop_s = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(*PICKUP), rng.uniform(*DROP)
     beside = 1e-3 * row.pickup_offset_mm
     place = (float(beside * np.cos(angle)), float(beside * np.sin(angle)), PAYLOAD_BELOW_M)
     end_s = float(task.duration_s * drop_s) if rng.random() < 0.5 else np.inf
-    return PickUp(Payload(row.pickup_g * 1e-3, place), float(task.duration_s * at_s), end_s)
+    return {"pickup": Payload(row.pickup_g * 1e-3, place), "pickup_s": (float(task.duration_s * at_s), end_s)}
 
 
 def _flown(
@@ -201,8 +198,8 @@ def learn_task(job: tuple[str, LearnTask], seed: int) -> LearnResult:
     try:
         baseline = learn(flights, LearnOptions(airframe=airframe_of(airframe.vehicle, airframe.name)), created=CREATED)
     except MavdiagError as error:
-        return LearnResult(key, task.airframe, task.link, error=str(error))
-    return LearnResult(key, task.airframe, task.link, dump(baseline))
+        return LearnResult(key, error=str(error))
+    return LearnResult(key, dump(baseline))
 
 
 def fly_task(job: tuple[str, FlightTask, LearnResult], seed: int) -> FlightResult:
@@ -218,8 +215,8 @@ def fly_task(job: tuple[str, FlightTask, LearnResult], seed: int) -> FlightResul
         injections=injections,
         turbulence_m_s=row.turbulence_m_s,
         outages_per_min=row.outages_per_min,
-        pickup=_pickup(task, own),
         wear=wear,
+        **_pickup(task, own),
     )
     number = 0 if task.session else len(drawn.flights)
     log, flown_s = _flown(config, drawn, task.duration_s, task.loss, f"flight {task.index}", task.session, number)
@@ -244,8 +241,7 @@ def _line(key: str, task: FlightTask, judged: JudgedFlight, onset_s: float | Non
     monitors = []
     for monitor in verdict.monitors:
         early, own = ([event for event in part if event.monitor == monitor.name] for part in (before, after))
-        counts = _episodes(early), _episodes(own), _latency(own, border_s)
-        monitors.append(MonitorResult(monitor.name, *counts, round(monitor.judged_s, 3)))
+        monitors.append(MonitorResult(monitor.name, _episodes(early), _episodes(own), round(monitor.judged_s, 3)))
     names = ("index", "cause", "rotor", "phenomenology", "conditions", "loss", "session")
     asked: dict[str, Any] = {name: getattr(task, name) for name in names}
     return FlightResult(

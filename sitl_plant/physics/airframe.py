@@ -45,19 +45,6 @@ class Payload:
 NO_PAYLOAD = Payload()
 
 
-@dataclass(frozen=True, slots=True)
-class PickUp:
-    """A payload that is taken up at `at_s` of flight time and dropped at `drop_s`; it moves as the vehicle does."""
-
-    payload: Payload = NO_PAYLOAD
-    at_s: float = 10.0
-    drop_s: float = math.inf
-
-    def __post_init__(self) -> None:
-        if not (math.isfinite(self.at_s) and 0.0 < self.at_s < self.drop_s):
-            raise UsageError(f"a pick-up must be after the start and before the drop, not at {self.at_s:g} s")
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Airframe:
     """The true constants of one specimen, n rotors. Body FRD; the controller knows only the nominal ones.

@@ -15,7 +15,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from mavdiag.jit import cached_loop, inline, jit
+from mavdiag.jit import cached_loop, inline
 from mavdiag.telemetry import FloatArray
 from sitl_plant.physics import control, dynamics, mocap, rotors, sensors
 from sitl_plant.physics.air import Air, Dryden, Turbulence, advance_wind

@@ -305,12 +305,14 @@ def _kept(filters: FloatArray, frequency_hz: FloatArray, dt: float, held: int) -
 
 
 def _imus(airframe: Airframe, recorded: RecordedSet, model: kernel.Model, session: float) -> sensors.TwinImu:
+    from scipy.signal import butter  # only a vehicle as it was recorded has it
+
     specimen, propulsion, chip = specimen_of(airframe, recorded), airframe.vehicle.propulsion, airframe.vehicle.imu
     n, dt = len(airframe.vehicle.rotors), model.dt
     hover = math.sqrt(GRAVITY * airframe.vehicle.body.mass_kg / n / propulsion.thrust_coefficient_n_s2)
     period = max(1, round(recorded.gyro_period_s / dt))
     corners = [recorded.gyro_filter_hz] * 3 + [recorded.accel_filter_hz] * 3
-    filters = np.array([sensors.butterworth3(corner_hz, dt) for corner_hz in corners])
+    filters = np.array([butter(3, corner_hz * dt, fs=1.0, output="sos")[:, [0, 1, 2, 4, 5]] for corner_hz in corners])
     shape, band_hz = sensors.butterworth(recorded.broad_corner_hz, dt, "highpass"), np.linspace(*BAND_HZ, 101)
     shaped, width = sensors.gain_of(shape, band_hz, dt), 2.0 * dt * (BAND_HZ[1] - BAND_HZ[0])
     line = np.concatenate([specimen.gyro_line * np.array(recorded.gyro_axes), recorded.accel_axes])

@@ -81,7 +81,7 @@ class TwinImu(NamedTuple):
     line: FloatArray  # (2, 6, 2, n, 2) by harmonic, rotor, cosine and sine, at the hover speed
     hover: float  # [rad/s]
     shape: Biquad  # high-pass of the broad part
-    filters: FloatArray  # (6, 2, 5) low-pass of each channel, see `butterworth3`
+    filters: FloatArray  # (6, 2, 5) third-order Butterworth low-pass of each channel: two sections, one after the other
     span: FloatArray  # (6,)
     lsb: FloatArray  # (6,)
     gyro_period: int  # steps of the plant from one gyro sample to the next
@@ -108,13 +108,6 @@ def butterworth(corner_hz: float, dt_s: float, kind: Literal["lowpass", "highpas
     a0 = 1.0 + lossy + k * k
     b0, b1 = (k * k / a0, 2.0 * k * k / a0) if kind == "lowpass" else (1.0 / a0, -2.0 / a0)
     return b0, b1, b0, 2.0 * (k * k - 1.0) / a0, (1.0 - lossy + k * k) / a0
-
-
-def butterworth3(corner_hz: float, dt_s: float) -> FloatArray:
-    """Third-order Butterworth low-pass, (2, 5): two sections, one after the other."""
-    from scipy.signal import butter  # only a vehicle as it was recorded has it
-
-    return np.asarray(butter(3, corner_hz * dt_s, fs=1.0, output="sos")[:, [0, 1, 2, 4, 5]])
 
 
 def gain_of(section: Biquad | FloatArray, at_hz: float | FloatArray, dt_s: float) -> FloatArray:
