@@ -18,8 +18,9 @@ import numpy as np
 
 from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray, IntArray
+from mavdiag.units import S_PER_H
 from sitl_plant.physics.air import Dryden, dryden
-from sitl_plant.physics.airframe import NEVER, NO_PAYLOAD, Airframe, Payload, Wear, drone, step_at
+from sitl_plant.physics.airframe import NEVER, NO_PAYLOAD, Airframe, Payload, drone, step_at
 from sitl_plant.physics.control import Controller
 from sitl_plant.physics.faults import Injection, fault_injection, rotor_condition, sensor_condition
 from sitl_plant.physics.kernel import Model, Recorded, Streams, fly, told_columns
@@ -61,7 +62,8 @@ class PlantConfig:
     pickup: Payload | None = None  # taken up, and perhaps dropped, in flight; it moves as the vehicle does
     pickup_s: tuple[float, float] = (10.0, math.inf)  # flight times at which it is taken up, and dropped
     outages_per_min: float = 0.0  # how often motion capture is lost for `streams.OUTAGE_S`
-    wear: Wear | None = None  # what the propellers lose with the hours
+    wear_per_h: tuple[float, ...] = ()  # share of its thrust that each rotor loses per hour of flight; empty for none
+    worn_h: float = 0.0  # flown since the airframe was as drawn
     seed: int = 0
     vehicle: Vehicle = field(default_factory=qdrone2, repr=False)  # the type of which drones 1 to 3 are specimens
     airframe: Airframe | None = None  # another specimen instead
@@ -95,8 +97,9 @@ class PlantConfig:
             raise UsageError(f"motion capture may fail up to {most}, not {self.outages_per_min:g}")
         if not (math.isfinite(self.pickup_s[0]) and 0.0 < self.pickup_s[0] < self.pickup_s[1]):
             raise UsageError(f"a pick-up must be after the start and before the drop, not at {self.pickup_s[0]:g} s")
-        if self.wear is not None and len(self.wear.loss_per_h) != len(self.flown_vehicle.rotors):
-            raise UsageError(f"wear needs a loss for each of {len(self.flown_vehicle.rotors)} rotors")
+        fits = len(self.wear_per_h) in (0, len(self.flown_vehicle.rotors)) and self.worn_h >= 0.0
+        if not (fits and all(0.0 <= loss <= 1.0 for loss in self.wear_per_h)):
+            raise UsageError("wear needs a loss of 0 to 1 per hour for each rotor, and hours of zero or more")
 
     def gusts(self) -> Dryden | None:
         """The turbulence at the height of the path, None if it was not asked for."""
@@ -178,16 +181,16 @@ class Plant:
         gusts, towards_rad = config.gusts(), config.wind_towards_rad
         wind = config.wind_m_s * np.array([math.cos(towards_rad), math.sin(towards_rad), 0.0])  # world NED
         turbulence = None if gusts is None else (gusts, towards_rad)
-        self._streams = Streams(config.seed, STEP_S, turbulence, config.outages_per_min)
+        recorded = self.airframe.vehicle.recorded
+        self._streams = Streams(config.seed, STEP_S, turbulence, config.outages_per_min, recorded is not None)
         azimuth = self._streams.angle.uniform(0.0, 2.0 * np.pi, rotors)
         self._step, self._loaded = -SETTLING_STEPS, False
         self._set_injections(self._placed(config.all_injections()))
         self._model: Model = make_model(self.airframe, config.payload, config.path(), wind, gusts is not None)
         self._state = initial_state(self._model, azimuth, self.airframe.charge_used_ah)
         self._own: Recorded | None = None
-        if (recorded := self.airframe.vehicle.recorded) is not None:
-            self._own, own_noise = recorded_set(self.airframe, recorded, self._model, self._state, config.seed)
-            self._streams.take_imus(own_noise)
+        if recorded is not None:
+            self._own = recorded_set(self.airframe, recorded, self._model, self._state, config.seed)
         self._changes: deque[Change] = deque(maxlen=CHANGES_MAX)
         if config.commanded:
             follow(Leg(), 0.0, np.zeros(REFERENCE))  # compiles it for the pilot, which would take a second in flight
@@ -287,8 +290,9 @@ class Plant:
         self._rotors = rotor_condition(self.airframe, present, STEP_S)
         self._sensors = sensor_condition(present)
         self._state.imu.drifted[self._sensors.drift == 0.0] = 0.0
-        if self.config.wear is not None:
-            self._rotors.thrust_gain[:] *= self.config.wear.gain(self._step * STEP_S)
+        if self.config.wear_per_h:
+            lost = np.array(self.config.wear_per_h) * (self.config.worn_h + max(self._step * STEP_S, 0.0) / S_PER_H)
+            self._rotors.thrust_gain[:] *= np.maximum(1.0 - lost, 0.0)
             changes.append(self._step + WEAR_STEPS)
         if self.config.pickup is not None:
             first, end = (step_at(t_s, STEP_S) for t_s in self.config.pickup_s)

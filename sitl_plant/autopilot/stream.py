@@ -203,7 +203,8 @@ def records(msgid: int, filtered: FilteredSamples, rows: IntArray, dialect: Dial
     They are more than the rows where one message does not carry all rotors. Fields without a column but time are zero.
     """
     due = _Due(filtered, rows, dialect)
-    told: Columns = {**{name: getattr(due, name) for name in _stamps(msgid)}, **_BUILDERS[msgid](due)}
+    stamps = (name for name in ("time_boot_ms", "time_usec") if name in layout_of(msgid).names)
+    told: Columns = {**{name: getattr(due, name) for name in stamps}, **_BUILDERS[msgid](due)}
     columns = {name: np.asarray(column) for name, column in told.items()}
     dtype = _dtype(msgid, tuple((name, one.shape[1] if one.ndim == 2 else 1) for name, one in columns.items()))
     record = np.zeros(next(len(one) for one in columns.values() if one.ndim), dtype)
@@ -215,11 +216,6 @@ def records(msgid: int, filtered: FilteredSamples, rows: IntArray, dialect: Dial
 @cache
 def _dtype(msgid: int, columns: tuple[tuple[str, int], ...]) -> np.dtype[np.void]:
     return layout_of(msgid).record_dtype(*columns)
-
-
-@cache
-def _stamps(msgid: int) -> tuple[str, ...]:
-    return tuple(name for name in ("time_boot_ms", "time_usec") if name in layout_of(msgid).names)
 
 
 class _Due:

@@ -42,7 +42,7 @@ from sitl_plant.campaign.plan import (
     parse_link,
     task_sequence,
 )
-from sitl_plant.physics.airframe import Airframe, Payload, Wear, draw_airframe, in_session, with_propellers
+from sitl_plant.physics.airframe import Airframe, Payload, draw_airframe, in_session, with_propellers
 from sitl_plant.plant import PlantConfig
 from sitl_plant.vehicle import Vehicle, airframe_of
 
@@ -153,19 +153,19 @@ def _config(airframe: Airframe, flown: Conditions, duration_s: float, rng: np.ra
     )
 
 
-def _on_the_day(seed: int, airframe: Airframe, task: FlightTask) -> tuple[Airframe, Wear | None]:
+def _on_the_day(seed: int, airframe: Airframe, task: FlightTask) -> tuple[Airframe, tuple[float, ...], float]:
     row, number = CONDITIONS[task.conditions.condition], task.learnt.airframe
     if not task.session:
-        return airframe, None
+        return airframe, (), 0.0
     rng = np.random.default_rng(np.random.SeedSequence([seed, 0x5E55, number, task.session]))
     if row.session:
         airframe = in_session(airframe, rng)
     if row.propellers:
         airframe = with_propellers(airframe, row.propellers, rng)
     if not row.wear_per_h:
-        return airframe, None
+        return airframe, (), 0.0
     losses = np.random.default_rng(np.random.SeedSequence([seed, 0x3EA2, number])).random(len(airframe.vehicle.rotors))
-    return airframe, Wear(tuple((row.wear_per_h * losses).tolist()), WEAR_H * float(rng.random()))
+    return airframe, tuple((row.wear_per_h * losses).tolist()), WEAR_H * float(rng.random())
 
 
 def _pickup(task: FlightTask, rng: np.random.Generator) -> dict[str, Any]:
@@ -206,7 +206,7 @@ def fly_task(job: tuple[str, FlightTask, LearnResult], seed: int) -> FlightResul
     """Fly once and judge the flight by what was learnt of the airframe. job: key, task, and that."""
     key, task, learnt = job
     drawn, row, sequence = task.learnt, CONDITIONS[task.conditions.condition], task_sequence(seed, task)
-    airframe, wear = _on_the_day(seed, specimen(seed, drawn.airframe, drawn.vehicle), task)
+    airframe, wear_per_h, worn_h = _on_the_day(seed, specimen(seed, drawn.airframe, drawn.vehicle), task)
     rng, own = np.random.default_rng(sequence), np.random.default_rng(sequence.spawn(1)[0])
     onset_s = None if task.cause == HEALTHY else round(task.duration_s * float(rng.uniform(*ONSET)), 3)
     injections = injections_of(task.cause, task.rotor, onset_s or 0.0, task.phenomenology, rng)
@@ -215,7 +215,8 @@ def fly_task(job: tuple[str, FlightTask, LearnResult], seed: int) -> FlightResul
         injections=injections,
         turbulence_m_s=row.turbulence_m_s,
         outages_per_min=row.outages_per_min,
-        wear=wear,
+        wear_per_h=wear_per_h,
+        worn_h=worn_h,
         **_pickup(task, own),
     )
     number = 0 if task.session else len(drawn.flights)
@@ -255,7 +256,7 @@ def _line(key: str, task: FlightTask, judged: JudgedFlight, onset_s: float | Non
         healthy_s=round(verdict.judged_s if onset_s is None else _judged_s(judged, onset_s), 3),
         onset_s=onset_s,
         episodes=_episodes(before),
-        latency_s=_latency(after, border_s),
+        latency_s=round(min(event.t_s for event in after) - border_s, 3) if after else None,
         answer=_answer(verdict, after),
         monitors=tuple(monitors),
         faults=sum(t_s < border_s for t_s in declared),
@@ -291,10 +292,6 @@ def _episodes(events: Sequence[Event]) -> int:
         count += event.t_s > until_s + EPISODE_S
         until_s = max(until_s, np.inf if event.end_s is None else event.end_s)
     return count
-
-
-def _latency(events: Sequence[Event], onset_s: float) -> float | None:
-    return round(min(event.t_s for event in events) - onset_s, 3) if events else None
 
 
 def _answer(verdict: LogVerdict, after: Sequence[Event]) -> Answer:

@@ -22,6 +22,7 @@ from sitl_plant.physics.air import Air, Dryden, Turbulence, advance_wind
 from sitl_plant.physics.trajectory import DISARMED, FLYING, Path, reference
 
 Faults: TypeAlias = sensors.SensorCondition
+FLIGHT_STREAM = 0xF17  # our choice: which random streams those of a recorded set are
 OUTAGE_S = (0.3, 2.0)  # an outage of the cameras lasts so long, uniform (our choice)
 
 
@@ -65,14 +66,12 @@ class Recorded(NamedTuple):
     """What a recorded set has beside `Model` and `State`: constants, and what changes in place."""
 
     imus: sensors.TwinImu
-    estimators: control.TwinEstimator
+    estimates: control.TwinEstimator
     thrust_map: control.ThrustMap
     squared_per_thrust: float  # speed^2 of a rotor over its thrust by the map, battery gain included [rad^2/s^2/N]
     esc_period: int  # steps from one motor's telemetry to the next one's
     esc_first: int  # step of the first
     over_read: float  # reported over true speed
-    imu_state: sensors.TwinImuState
-    estimates: control.TwinEstimate
     queue: FloatArray  # (delay + 1, n) duties under way
     esc: FloatArray  # (n,) reported speeds [rad/s], NaN before the first frame; a view of `State.told`
 
@@ -105,9 +104,9 @@ def _sense(state: State, model: Model, own: Recorded | None, faults: Faults, noi
     else:
         for k in range(sensors.IMUS):
             sensors.feel(x, work, own.imus.position[k], truth[k])
-        sensors.advance_imus(own.imu_state, own.imus, faults, truth, state.rotors, noise.imu, row, step, model.dt)
+        sensors.advance_imus(own.imus, faults, truth, state.rotors, noise.imu, row, step, model.dt)
         for i in range(sensors.CHANNELS):
-            state.imu.reading[i] = own.imu_state.reading[0, i]
+            state.imu.reading[i] = own.imus.reading[0, i]
         if step >= own.esc_first and step % own.esc_period == 0:
             motor = len(own.esc) - 1 - (step // own.esc_period) % len(own.esc)  # the last motor is asked first
             own.esc[motor] = own.over_read * state.rotors.speed[motor]
@@ -121,7 +120,7 @@ def _decide(state: State, model: Model, own: Recorded | None, commands: FloatArr
     if own is None:
         control.advance_estimate(estimate, state.accel_filtered, model.estimator, state.imu.reading, pose[3], dt)
     else:
-        control.advance_estimates(own.estimates, own.estimators, own.imu_state.reading, estimate, dt)
+        control.advance_estimates(own.estimates, own.imus.reading, estimate, dt)
     if len(commands) > 0:
         state.control.motors[0] = DISARMED
         for i in range(len(state.control.duty)):
@@ -138,7 +137,7 @@ def _decide(state: State, model: Model, own: Recorded | None, commands: FloatArr
         velocity, r = state.mocap.velocity, estimate[5]
         control.control(state.control, model.controller, path, pose, velocity, r, estimate, None, volts, dt)
     else:
-        control.see(own.estimates, own.estimators, pose)
+        control.see(own.estimates, pose)
         path[3:6], path[7] = 0.0, 0.0  # its V acts on the measured speed alone
         seen, lifts = own.estimates.velocity, own.thrust_map
         control.control(state.control, model.controller, path, pose, seen, seen[3], estimate, lifts, volts, dt)
@@ -197,26 +196,30 @@ def fly(
         _move(state, model, own, condition, noise, row, step)
 
 
+def recorded_streams(seed: int) -> list[np.random.Generator]:
+    """Of a flight with a recorded set: for its levels, and for its sensors."""
+    return [np.random.default_rng(child) for child in np.random.SeedSequence([seed, FLIGHT_STREAM]).spawn(2)]
+
+
 class Streams:
     """The streams of one flight.
 
     turbulence: Dryden gusts and where the wind blows to [rad]; None for the gusts of the vehicle's file.
     outages_per_min: how often on average the cameras see no marker at all; the gaps between are exponential.
+    recorded: the vehicle has the two IMUs of a recorded set, which have a stream of their own.
     """
 
     def __init__(
-        self, seed: int, dt_s: float, turbulence: tuple[Dryden, float] | None = None, outages_per_min: float = 0.0
+        self, seed: int, dt_s: float, turbulence: tuple[Dryden, float] | None, outages_per_min: float, recorded: bool
     ) -> None:
         *children, gusts, self._lost = map(np.random.default_rng, np.random.SeedSequence(seed).spawn(8))
         self.angle, self.rotors, self.imu, self.wind, self.markers, self.occlusion = children
         self._dt_s, self._imu_columns = dt_s, sensors.CHANNELS
+        if recorded:
+            self.imu, self._imu_columns = recorded_streams(seed)[1], 2 * sensors.IMUS * sensors.CHANNELS
         self._gusts = Turbulence(*turbulence, dt_s, gusts) if turbulence is not None else None
         self._outage_gap_s = 60.0 / outages_per_min if outages_per_min else math.inf
         self._outages = [(-math.inf, 0.0)]  # so far; the last one begins after all frames
-
-    def take_imus(self, imus: np.random.Generator) -> None:
-        """Draw from now on for both IMUs of a vehicle as it was recorded, from a stream of their own."""
-        self.imu, self._imu_columns = imus, 2 * sensors.IMUS * sensors.CHANNELS
 
     def draw(self, first: int, count: int, model: Model) -> Noise:
         """Numbers for `count` steps from step `first` on."""
