@@ -85,8 +85,8 @@ CAUSES: Mapping[str, Cause] = {
 
 def causes_named(names: Iterable[str]) -> tuple[str, ...]:
     """The causes of some names or groups, each once. Raises UsageError for an unknown one."""
-    groups = {group: [name for name, cause in CAUSES.items() if cause.group is group] for group in Group}
-    return _known("cause", {**groups, **{name: [name] for name in CAUSES}}, names)
+    meaning = {str(group): [name for name, cause in CAUSES.items() if cause.group is group] for group in Group}
+    return _known("cause", meaning | {name: [name] for name in CAUSES}, names)
 
 
 def _known(factor: str, meaning: Mapping[str, Iterable[str]], names: Iterable[str]) -> tuple[str, ...]:

@@ -232,13 +232,13 @@ def fly_task(job: tuple[str, FlightTask, LearnResult], seed: int) -> FlightResul
 
 
 def _line(key: str, task: FlightTask, judged: JudgedFlight, onset_s: float | None, flown_s: float) -> FlightResult:
-    verdict, border_s = judged.verdict, flown_s if onset_s is None else onset_s
+    verdict, border_s = judged.verdict, np.inf if onset_s is None else onset_s
     before = [event for event in verdict.events if event.t_s < border_s]
-    after = [] if onset_s is None else [event for event in verdict.events if event.t_s >= border_s]
+    after = [event for event in verdict.events if event.t_s >= border_s]
     stages = [None, *(change.stage for change in verdict.changes)]
     came = (change for before, change in zip(stages, verdict.changes, strict=False) if before is not Stage.FAULT)
     declared = [change.t_ns / NS_PER_S for change in came if change.stage is Stage.FAULT]
-    late = [] if onset_s is None else [t_s - border_s for t_s in declared if t_s >= border_s]
+    late = [t_s - border_s for t_s in declared if t_s >= border_s]
     monitors = []
     for monitor in verdict.monitors:
         early, own = ([event for event in part if event.monitor == monitor.name] for part in (before, after))
@@ -262,7 +262,7 @@ def _line(key: str, task: FlightTask, judged: JudgedFlight, onset_s: float | Non
         faults=sum(t_s < border_s for t_s in declared),
         declared_s=round(min(late), 3) if late else None,
         score_before=_score(judged, -np.inf, border_s),
-        score_after=None if onset_s is None else _score(judged, border_s, np.inf),
+        score_after=_score(judged, border_s, np.inf),
         **asked,
     )
 

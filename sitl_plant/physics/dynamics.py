@@ -129,7 +129,7 @@ def _stand(x: FloatArray, body: Body, ground: Ground, dx: FloatArray, row: int) 
 
 @jit
 def _along(matrix: FloatArray, axis: int, x: float, y: float, z: float) -> float:
-    return matrix[axis, 0] * x + matrix[axis, 1] * y + matrix[axis, 2] * z
+    return float(matrix[axis, 0] * x + matrix[axis, 1] * y + matrix[axis, 2] * z)
 
 
 @inline
