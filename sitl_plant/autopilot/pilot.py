@@ -227,7 +227,7 @@ class Pilot:
         return [Waypoint()]
 
     def _fly_mission(self) -> None:
-        self._start(waypoint for waypoint in self._mission if waypoint.item is None or waypoint.item >= self.first)
+        self._start(waypoint for waypoint in self._mission if (waypoint.item or 0) >= self.first)
 
     def _start(self, plan: Iterable[Waypoint]) -> None:
         self._plan, self._paused = deque(plan), None
