@@ -42,9 +42,9 @@ def cases(number: int, sessions: Sequence[Session], others: Sequence[Session]) -
     own = sessions[number]
     for _ in range(3):
         yield "same airframe, healthy", own.flight(DURATION_S)
-    for at, fault in enumerate(FAULTS):
-        lost = injections_of(fault.code, 1 + (number + at) % 4, 0.0, 1.0, own.rng)
-        yield f"same airframe, {fault.code}", own.flight(DURATION_S, lost)
+    for at, code in enumerate(FAULTS):
+        lost = injections_of(code, 1 + (number + at) % 4, 0.0, 1.0, own.rng)
+        yield f"same airframe, {code}", own.flight(DURATION_S, lost)
     for cause in ("bending", "motor-speed", "ejection"):
         onset_s = 12.0 if cause == "ejection" else 0.0
         lost = injections_of(cause, 1 + number % 4, onset_s, 1.0, own.rng)

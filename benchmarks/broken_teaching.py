@@ -31,7 +31,7 @@ from sitl_plant.vehicle import airframe_of
 CREATED = "2026-01-01T00:00:00+00:00"
 SIZES = (1, 2, 3, 5, 8)
 MONITORS = ("rotor_signature", "unbalance", "vibration_level", "rotor_trim", "trim_step")
-CODES = tuple(fault.code for fault in FAULTS)
+CODES = tuple(FAULTS)
 
 
 @dataclass(frozen=True, slots=True)

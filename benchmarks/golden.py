@@ -39,7 +39,7 @@ RECORDED = {  # folder: what teaches, what is judged by it
 
 def emulated(count: int) -> Iterator[tuple[str, Log]]:
     """Flights of 24 s, the same ones for the same count."""
-    causes = [None, *(fault.code for fault in FAULTS)]
+    causes = [None, *FAULTS]
     for number in range(count):
         cause, wind_m_s = causes[number % len(causes)], (0.0, 2.0)[number // len(causes) % 2]
         faulty = PlantConfig(seed=700 + number, wind_m_s=wind_m_s, fault=cause, rotor=1 + number % 4, onset_s=10.0)

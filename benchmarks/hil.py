@@ -130,9 +130,9 @@ def first_fault(changes: tuple[Change, ...]) -> Change | None:
 def detection(base: Baseline) -> None:
     """The nine faults."""
     right = 0
-    for number, fault in enumerate(FAULTS):
+    for number, code in enumerate(FAULTS):
         rotor = 1 + number % 4
-        cause = fault_injection(fault.code, rotor, ONSET_S)
+        cause = fault_injection(code, rotor, ONSET_S)
         flight = fly(Course(side_m=1.5, loops=4), 100 + number, (cause,), until_s=ONSET_S + 12.0)
         verdict, onset_s = judge(flight.log, base), flight.takeoff_s + ONSET_S
         early = [one for one in verdict.changes if one.t_ns * 1e-9 < onset_s and one.stage is not Stage.QUIET]
@@ -146,7 +146,7 @@ def detection(base: Baseline) -> None:
         right += ok
         told = f"{named[0][1]} after {named[0][0]:.2f} s, at 5 s {named[-1][1]}" if named else "not named"
         since = "never" if first is None else f"{first.t_ns * 1e-9 - onset_s:.2f} s by {first.monitor}"
-        print(f"  {fault.code} on rotor {rotor}: fault {since}; rotor {told}{'' if ok else '  WRONG'}"
+        print(f"  {code} on rotor {rotor}: fault {since}; rotor {told}{'' if ok else '  WRONG'}"
               f"{f'; {len(early)} changes before the onset' if early else ''}", flush=True)  # fmt: skip
     print(f"right rotor within {WITHIN_S:g} s: {right} of {len(FAULTS)}")
 

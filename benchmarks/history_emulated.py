@@ -30,7 +30,7 @@ from mavdiag.units import NS_PER_S
 from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry
 from sitl_plant.campaign.worker import CREATED, specimen
 from sitl_plant.physics.airframe import Airframe, in_session
-from sitl_plant.physics.faults import Injection, RotorDamage, parse_fault
+from sitl_plant.physics.faults import FAULTS, Injection, RotorDamage
 from sitl_plant.plant import PlantConfig
 from sitl_plant.vehicle import airframe_of, qdrone2
 
@@ -46,7 +46,7 @@ STEPS, SESSIONS = 7, 5  # of the bisection
 
 def cracked(size: float) -> RotorDamage:
     """So many times F2/SV2."""
-    whole = parse_fault("F2/SV2").damage()
+    whole = FAULTS["F2/SV2"]
     return RotorDamage(
         thrust_factor=1 - size * (1 - whole.thrust_factor),
         drag_factor=1 + size * (whole.drag_factor - 1),

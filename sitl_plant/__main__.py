@@ -64,9 +64,8 @@ def run(
         ends = [stack.enter_context(open_endpoint(address)) for address in out]
         with working(STARTING):
             plant = Plant(plan.config)
-        kept = None
-        if signing_key is not None:
-            kept = stack.enter_context(closing(open_signing(signing_key, "plant", time.time_ns())))
+        own = None if signing_key is None else closing(open_signing(signing_key, "plant", time.time_ns()))
+        kept = None if own is None else stack.enter_context(own)
         signing = None if kept is None else kept.signing
         links = [Link(end, plan.dialect, plan.rate_hz, plant.rotors, signing, fresh=fresh) for end in ends]
         lines = stack.enter_context(truth_file(truth))
@@ -193,7 +192,7 @@ def _concluded(report: FlightReport) -> str:
     return (
         f"{report.flown_s:.1f} s flown in {report.wall_s:.1f} s at {100 * report.cpu_s / report.wall_s:.0f} % CPU; "
         f"{report.messages} messages sent, {report.dropped} dropped, {report.received} received; "
-        f"late by {report.late_p50_ms:.1f} ms (half), {report.late_p99_ms:.1f} (99 %), {report.late_max_ms:.1f} (all)"
+        f"late by at most {report.late_max_ms:.1f} ms"
     )
 
 

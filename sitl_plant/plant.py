@@ -18,11 +18,12 @@ import numpy as np
 
 from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray, IntArray
+from mavdiag.units import S_PER_H
 from sitl_plant.physics.air import Dryden, dryden
-from sitl_plant.physics.airframe import NEVER, NO_PAYLOAD, Airframe, Payload, PickUp, Wear, drone
+from sitl_plant.physics.airframe import NEVER, NO_PAYLOAD, Airframe, Payload, drone, step_at
 from sitl_plant.physics.control import Controller
 from sitl_plant.physics.faults import Injection, fault_injection, rotor_condition, sensor_condition
-from sitl_plant.physics.kernel import TOLD, Model, Recorded, Streams, fly, told_parts
+from sitl_plant.physics.kernel import Model, Recorded, Streams, fly, told_columns
 from sitl_plant.physics.parameters import STEP_S, initial_state, make_model, recorded_set, reload
 from sitl_plant.physics.trajectory import ARM_S, LIFT_S, REFERENCE, Leg, Nose, Path, Shape, follow, landing_time, path
 from sitl_plant.vehicle import Vehicle, qdrone2
@@ -58,9 +59,11 @@ class PlantConfig:
     wind_towards_rad: float = math.pi / 4  # where the wind blows to; 0 is north, pi/2 east
     payload: Payload = NO_PAYLOAD
     turbulence_m_s: float = 0.0  # wind W20 of Dryden turbulence, in place of the vehicle file's gusts; 0 for the latter
-    pickup: PickUp | None = None  # taken up, and perhaps dropped, in flight
+    pickup: Payload | None = None  # taken up, and perhaps dropped, in flight; it moves as the vehicle does
+    pickup_s: tuple[float, float] = (10.0, math.inf)  # flight times at which it is taken up, and dropped
     outages_per_min: float = 0.0  # how often motion capture is lost for `streams.OUTAGE_S`
-    wear: Wear | None = None  # what the propellers lose with the hours
+    wear_per_h: tuple[float, ...] = ()  # share of its thrust that each rotor loses per hour of flight; empty for none
+    worn_h: float = 0.0  # flown since the airframe was as drawn
     seed: int = 0
     vehicle: Vehicle = field(default_factory=qdrone2, repr=False)  # the type of which drones 1 to 3 are specimens
     airframe: Airframe | None = None  # another specimen instead
@@ -92,8 +95,11 @@ class PlantConfig:
         if not 0.0 <= self.outages_per_min <= MOST_OUTAGES_PER_MIN:
             most = f"{MOST_OUTAGES_PER_MIN:g} times a minute"
             raise UsageError(f"motion capture may fail up to {most}, not {self.outages_per_min:g}")
-        if self.wear is not None and len(self.wear.loss_per_h) != len(self.flown_vehicle.rotors):
-            raise UsageError(f"wear needs a loss for each of {len(self.flown_vehicle.rotors)} rotors")
+        if not (math.isfinite(self.pickup_s[0]) and 0.0 < self.pickup_s[0] < self.pickup_s[1]):
+            raise UsageError(f"a pick-up must be after the start and before the drop, not at {self.pickup_s[0]:g} s")
+        fits = len(self.wear_per_h) in (0, len(self.flown_vehicle.rotors)) and self.worn_h >= 0.0
+        if not (fits and all(0.0 <= loss <= 1.0 for loss in self.wear_per_h)):
+            raise UsageError("wear needs a loss of 0 to 1 per hour for each rotor, and hours of zero or more")
 
     def gusts(self) -> Dryden | None:
         """The turbulence at the height of the path, None if it was not asked for."""
@@ -171,21 +177,20 @@ class Plant:
         self.config = config
         self.airframe = config.airframe or drone(config.vehicle, config.drone)
         self.rotors = rotors = len(self.airframe.vehicle.rotors)
-        places = told_parts(np.arange(TOLD + 2.0 * rotors), rotors)
-        self._columns = {name: slice(int(place[0]), int(place[-1]) + 1) for name, place in places.items()}
+        self._columns = told_columns(rotors)
         gusts, towards_rad = config.gusts(), config.wind_towards_rad
         wind = config.wind_m_s * np.array([math.cos(towards_rad), math.sin(towards_rad), 0.0])  # world NED
         turbulence = None if gusts is None else (gusts, towards_rad)
-        self._streams = Streams(config.seed, STEP_S, turbulence, config.outages_per_min)
+        recorded = self.airframe.vehicle.recorded
+        self._streams = Streams(config.seed, STEP_S, turbulence, config.outages_per_min, recorded is not None)
         azimuth = self._streams.angle.uniform(0.0, 2.0 * np.pi, rotors)
         self._step, self._loaded = -SETTLING_STEPS, False
         self._set_injections(self._placed(config.all_injections()))
         self._model: Model = make_model(self.airframe, config.payload, config.path(), wind, gusts is not None)
         self._state = initial_state(self._model, azimuth, self.airframe.charge_used_ah)
         self._own: Recorded | None = None
-        if self.airframe.vehicle.recorded is not None:
-            self._own, own_noise = recorded_set(self.airframe, self._model, self._state, config.seed)
-            self._streams.take_imus(own_noise)
+        if recorded is not None:
+            self._own = recorded_set(self.airframe, recorded, self._model, self._state, config.seed)
         self._changes: deque[Change] = deque(maxlen=CHANGES_MAX)
         if config.commanded:
             follow(Leg(), 0.0, np.zeros(REFERENCE))  # compiles it for the pilot, which would take a second in flight
@@ -259,15 +264,14 @@ class Plant:
     def _run(self, steps: int, commands: FloatArray) -> PlantSamples:
         if steps < 0:
             raise UsageError(f"cannot advance by {steps} steps")
-        rows, esc = np.empty((steps, TOLD + 2 * self.rotors)), np.empty((steps, self.rotors if self._own else 0))
-        first, done = self._step, 0
+        rows, first, done = np.empty((steps, len(self._state.told))), self._step, 0
         while done < steps:
             if self._step >= self._changes_at:
                 self._renew_condition()
             count = min(steps - done, self._changes_at - self._step)
             noise, part = self._streams.draw(self._step, count, self._model), slice(done, done + count)
             held = self._model, self._own, self._rotors, self._sensors, self._state
-            fly(self._step, noise, commands[part], rows[part], esc[part], *held)
+            fly(self._step, noise, commands[part], rows[part], *held)
             self._step += count
             done += count
         t_ns = (first + np.arange(steps, dtype=np.int64)) * STEP_NS
@@ -277,8 +281,8 @@ class Plant:
         sensed = imu[:, :3], imu[:, 3:], told["estimate"], told["duty"], battery_v, charge_ah
         truth = rigid[:, 6:10], rigid[:, :3], rigid[:, 3:6], rigid[:, 10:13], speed
         motors = told["motors"][:, 0].astype(np.int64)
-        told_speed = esc if self._own else speed
-        return PlantSamples(t_ns, told["setpoint"], told["rate"], thrust, *sensed, motors, *truth, told_speed)
+        esc = told["esc"] if self._own else speed
+        return PlantSamples(t_ns, told["setpoint"], told["rate"], thrust, *sensed, motors, *truth, esc)
 
     def _renew_condition(self) -> None:
         changes = [injection.first_step(STEP_S) for injection in self._injections]
@@ -286,15 +290,16 @@ class Plant:
         self._rotors = rotor_condition(self.airframe, present, STEP_S)
         self._sensors = sensor_condition(present)
         self._state.imu.drifted[self._sensors.drift == 0.0] = 0.0
-        if self.config.wear is not None:
-            self._rotors.thrust_gain[:] *= self.config.wear.gain(self._step * STEP_S)
+        if self.config.wear_per_h:
+            lost = np.array(self.config.wear_per_h) * (self.config.worn_h + max(self._step * STEP_S, 0.0) / S_PER_H)
+            self._rotors.thrust_gain[:] *= np.maximum(1.0 - lost, 0.0)
             changes.append(self._step + WEAR_STEPS)
         if self.config.pickup is not None:
-            first, end = self.config.pickup.span(STEP_S)
+            first, end = (step_at(t_s, STEP_S) for t_s in self.config.pickup_s)
             changes += [first, end]
             hangs = first <= self._step < end
             if hangs != self._loaded:
-                payloads = (self.config.payload, *((self.config.pickup.payload,) if hangs else ()))
+                payloads = (self.config.payload, *((self.config.pickup,) if hangs else ()))
                 self._model = reload(self._model, self._state, self.airframe, payloads)
                 self._loaded = hangs
         self._changes_at = min((step for step in changes if step > self._step), default=NEVER)

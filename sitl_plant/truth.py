@@ -77,7 +77,7 @@ class Truth:
         plain = ("drone", "trajectory", "nose", "start", "fault", "phenomenology", "seed", "wind_m_s", "turbulence_m_s")
         line |= {name: getattr(config, name) for name in (*plain, "outages_per_min")}
         line |= {name: getattr(config, name) if config.fault else None for name in ("rotor", "onset_s")}
-        carried = (config.pickup.payload.mass_kg, config.pickup.at_s) if config.pickup else (0.0, None)
+        carried = (config.pickup.mass_kg, config.pickup_s[0]) if config.pickup else (0.0, None)
         line |= {"payload_kg": config.payload.mass_kg, "pickup_kg": carried[0], "pickup_s": carried[1]}
         return json.dumps({**line, **self._link, "started_unix_ns": self._started_unix_ns})
 

@@ -140,11 +140,11 @@ def faulty(
     return [
         replace(
             mixed(one, first + number, seed),
-            fault=fault.code,
+            fault=code,
             rotor=rotors[number],
             phenomenology=scale,
             onset_s=onset_s,
         )
         for scale in phenomenologies
-        for number, fault in enumerate(FAULTS)
+        for number, code in enumerate(FAULTS)
     ]

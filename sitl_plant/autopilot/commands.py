@@ -11,7 +11,8 @@ propeller of the thesis: F1 to F3, with the severity `SIM_PROP_SEV`. At 0, OFF s
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Literal, TypeAlias
+from functools import partial
+from typing import TypeAlias
 
 from mavdiag.link.codec import Frame
 from mavdiag.link.messages import Component, MavCmd, MavResult, MessageId, Severity
@@ -23,8 +24,7 @@ from sitl_plant.autopilot.schedule import Schedule
 from sitl_plant.autopilot.stream import HOME_ALT_M, to_local
 from sitl_plant.autopilot.wire import DEGREES, Action, Forward, Order, Reply, integer, number, optional, order_of
 from sitl_plant.physics.faults import Injection, RotorDamage, fault_injection
-from sitl_plant.physics.trajectory import Leg
-from sitl_plant.plant import PlantConfig, PlantSamples
+from sitl_plant.plant import Plant, PlantConfig, PlantSamples
 
 ROUTES_MAX = 64  # components remembered; further ones are answered but nothing is routed to them
 ALL_STREAMS = 0  # MAV_DATA_STREAM_ALL
@@ -45,9 +45,6 @@ MOTORS = {OFF: ("motor off", RotorDamage(speed_factor=0.0)), SLOW: ("motor slow"
 # FLIGHT_TERMINATION; PARAM_ENCODE_BYTEWISE, PARAM_ENCODE_C_CAST
 ALWAYS, IN_COMMAND, BYTEWISE, C_CAST = 1 << 13 | 1 << 1 | 1 << 2 | 1 << 3, 1 << 7 | 1 << 8 | 1 << 11, 1 << 4, 1 << 17
 
-PlantOrder: TypeAlias = Leg | Injection | Literal["clear"]
-"""What the plant is to do: be led, take a cause, be rid of all causes."""
-
 _Answer: TypeAlias = tuple[MavResult, list[Action]]
 
 
@@ -62,7 +59,7 @@ class Autopilot:
         self._parameters = Parameters(dialect.parameters_of(vehicle), dialect.encoding)
         self._pilot = Pilot(dialect, self._parameters, config.commanded)
         self._mission = Mission(self._plan, self._pilot.skip_to)
-        self._orders: list[PlantOrder] = []
+        self._orders = list[Callable[[Plant], None]]()
         self._routes: dict[tuple[int, int], int] = {}
         self._told_ns, self._yaw = 0, 0.0
 
@@ -90,11 +87,12 @@ class Autopilot:
             actions += self._handle(link, frame, now_ns)
         return actions
 
-    def watch(self, samples: PlantSamples) -> tuple[list[Action], list[PlantOrder]]:
+    def watch(self, samples: PlantSamples) -> tuple[list[Action], list[Callable[[Plant], None]]]:
         """See what the vehicle did in a block (n >= 1): what is to be said, and what the plant is to do from now on."""
         now_ns, self._yaw = int(samples.t_ns[-1]), float(samples.attitude[-1, 2])
-        leg = self._pilot.step(samples)
-        orders, self._orders = [*self._orders, *([leg] if leg is not None else [])], []
+        orders, self._orders = self._orders, []
+        if (leg := self._pilot.step(samples)) is not None:
+            orders.append(partial(Plant.lead, leg=leg))
         actions = self._mission.tick(now_ns)
         texts, reached = self._pilot.take_news()
         tells = now_ns - self._told_ns >= STATUS_NS and len(self._mission) > 0
@@ -198,7 +196,7 @@ class Autopilot:
             elif kind != OK:
                 name, damage = MOTORS[kind]
                 self._failures[motor] = Injection(damage, motor, name=name)
-        self._orders += ["clear", *self._failures.values()]
+        self._orders += [Plant.clear, *(partial(Plant.inject, injection=cause) for cause in self._failures.values())]
         return MavResult.ACCEPTED
 
     def _plan(self, frames: tuple[Frame, ...]) -> bool:

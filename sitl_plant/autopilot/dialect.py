@@ -19,6 +19,7 @@ from sitl_plant.autopilot.schedule import Schedule
 from sitl_plant.vehicle import Rotor, Vehicle, airframe_of
 
 ESC_GROUP = 4  # rotors in one message of their speeds
+PX4_KINDS: Mapping[type, Kind] = {int: Kind.INT32, float: Kind.REAL32}
 FRAME_CLASSES, FRAME_TYPES = {4: 1, 6: 2, 8: 3}, (0, 1)  # ArduPilot: quad, hexa, octa; plus, X
 # Parameters of the emulator's own: the propeller that INJECT_FAILURE damages, and 1 to turn the nose along a line.
 FAULT, SEVERITY, NOSE = "SIM_PROP_FAULT", "SIM_PROP_SEV", "SIM_NOSE"
@@ -138,7 +139,8 @@ class Dialect:
     def parameters_of(self, vehicle: Vehicle) -> tuple[Parameter, ...]:
         """The parameters of a vehicle: the dialect's, its geometry as the autopilot has it, the emulator's own."""
         px4 = self.encoding is Encoding.BYTES
-        geometry = _px4_frame(vehicle) if px4 else _copter_frame(vehicle)
+        rotors = px4_rotors(vehicle, vehicle.rotors).items() if px4 else ()
+        geometry = [Parameter(name, value, PX4_KINDS[type(value)]) for name, value in rotors] or _copter_frame(vehicle)
         own = Parameter("MAV_SYS_ID" if px4 else "SYSID_THISMAV", self.sysid, Kind.INT16)
         return (own, *self.parameters, *geometry, *OWN_PARAMETERS)
 
@@ -161,11 +163,6 @@ def _copter_frame(vehicle: Vehicle) -> tuple[Parameter, ...]:
             outputs = [Parameter(f"SERVO{n}_FUNCTION", 32 + n, Kind.INT16) for n in range(1, rotors + 1)]
             return (Parameter("FRAME_CLASS", frame, Kind.INT8), Parameter("FRAME_TYPE", kind, Kind.INT8), *outputs)
     return (Parameter("FRAME_CLASS", frame, Kind.INT8),)
-
-
-def _px4_frame(vehicle: Vehicle) -> tuple[Parameter, ...]:
-    count, *places = px4_rotors(vehicle, vehicle.rotors).items()
-    return Parameter(*count, Kind.INT32), *(Parameter(*place) for place in places)
 
 
 def px4_rotors(vehicle: Vehicle, rotors: Sequence[Rotor]) -> dict[str, int | float]:

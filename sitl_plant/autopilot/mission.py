@@ -18,7 +18,7 @@ REQUESTS = (MessageId.MISSION_REQUEST, MessageId.MISSION_REQUEST_INT)
 ITEMS = (MessageId.MISSION_ITEM, MessageId.MISSION_ITEM_INT)
 HANDLED = (
     *(*REQUESTS, *ITEMS, MessageId.MISSION_REQUEST_LIST, MessageId.MISSION_COUNT, MessageId.MISSION_CLEAR_ALL),
-    *(MessageId.MISSION_SET_CURRENT, MessageId.MISSION_ACK),
+    MessageId.MISSION_SET_CURRENT,
 )
 
 
@@ -52,8 +52,6 @@ class Mission:
     def step(self, link: int, frame: Frame, now_ns: int) -> list[Action]:
         """Answer one message of the protocol. A type of mission that is not carried is empty, or refused."""
         kind, source = integer(frame, "mission_type"), (frame.sysid, frame.compid)
-        if frame.msgid == MessageId.MISSION_ACK:
-            return []
         if frame.msgid == MessageId.MISSION_REQUEST_LIST:
             count = len(self) if kind == MISSION else 0
             return [Reply(link, MessageId.MISSION_COUNT, (*source, count, kind))]

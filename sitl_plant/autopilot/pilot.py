@@ -190,13 +190,13 @@ class Pilot:
             return None
         if self._flies:
             self._idle_since_s = self._now_s
-        doing, idle_s = self._doing, self._now_s - self._idle_since_s
+        doing, idle_s, late_s = self._doing, self._now_s - self._idle_since_s, self._now_s - self._ends_s
         if doing is None or doing.lands:
             if self.armed and idle_s > (IDLE_S if doing is None else LANDED_S):
                 if doing is not None:
                     self._finish(doing)
                 self.arm(False)
-        elif self._arrived():
+        elif late_s > LATE_S or (late_s > SETTLE_S and math.dist(self.position, self._leg.end) < ACCEPT_M):
             self._finish(doing)
             self._next()
         turned, self._turned = self._turned, False
@@ -227,7 +227,7 @@ class Pilot:
         return [Waypoint()]
 
     def _fly_mission(self) -> None:
-        self._start(waypoint for waypoint in self._mission if waypoint.item is None or waypoint.item >= self.first)
+        self._start(waypoint for waypoint in self._mission if (waypoint.item or 0) >= self.first)
 
     def _start(self, plan: Iterable[Waypoint]) -> None:
         self._plan, self._paused = deque(plan), None
@@ -258,10 +258,6 @@ class Pilot:
             self._lead(doing.place or here, doing.speed or self._unit(self._dialect.speed), doing.yaw)
         turn_s = abs(self._leg.turn) / self._leg.turn_speed
         self._ends_s = self._now_s + max(math.dist(here, self._leg.end) / self._leg.speed, turn_s) + doing.wait_s
-
-    def _arrived(self) -> bool:
-        over_s = self._now_s - self._ends_s
-        return over_s > LATE_S or (over_s > SETTLE_S and math.dist(self.position, self._leg.end) < ACCEPT_M)
 
     def _led(self) -> tuple[Place, float]:
         out = np.zeros(trajectory.REFERENCE)

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Mapping
 from functools import cache
 from itertools import repeat
-from operator import attrgetter, itemgetter
+from operator import itemgetter
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -203,7 +203,8 @@ def records(msgid: int, filtered: FilteredSamples, rows: IntArray, dialect: Dial
     They are more than the rows where one message does not carry all rotors. Fields without a column but time are zero.
     """
     due = _Due(filtered, rows, dialect)
-    told: Columns = {**{name: getattr(due, name) for name in _stamps(msgid)}, **_BUILDERS[msgid](due)}
+    stamps = (name for name in ("time_boot_ms", "time_usec") if name in layout_of(msgid).names)
+    told: Columns = {**{name: getattr(due, name) for name in stamps}, **_BUILDERS[msgid](due)}
     columns = {name: np.asarray(column) for name, column in told.items()}
     dtype = _dtype(msgid, tuple((name, one.shape[1] if one.ndim == 2 else 1) for name, one in columns.items()))
     record = np.zeros(next(len(one) for one in columns.values() if one.ndim), dtype)
@@ -217,24 +218,12 @@ def _dtype(msgid: int, columns: tuple[tuple[str, int], ...]) -> np.dtype[np.void
     return layout_of(msgid).record_dtype(*columns)
 
 
-@cache
-def _stamps(msgid: int) -> tuple[str, ...]:
-    return tuple(name for name in ("time_boot_ms", "time_usec") if name in layout_of(msgid).names)
-
-
-def _rows_of(path: str) -> Any:
-    column = attrgetter(path)
-    return property(lambda due: column(due.filtered)[due.rows])
-
-
 class _Due:
-    gyro, accel, esc, stamp_ns = map(_rows_of, ("gyro", "accel", "esc", "stamp_ns"))
-    position, velocity, estimate = map(_rows_of, ("samples.position", "samples.velocity", "samples.attitude"))
-    motors, volts, duty = map(_rows_of, ("samples.motors", "samples.battery_v", "samples.duty"))
-    charge_ah = _rows_of("samples.charge_ah")
+    """The samples that are due, each column by its name: what is sent where the autopilot filters it."""
+
     time_boot_ms = property(lambda due: due.stamp_ns // NS_PER_MS % (1 << 32))
     time_usec = property(lambda due: due.stamp_ns // NS_PER_US)
-    angles = property(lambda due: due.estimate[:, :3])
+    angles = property(lambda due: due.attitude[:, :3])
     heading = property(lambda due: np.degrees(due.angles[:, 2]) % 360.0)
     speed = property(lambda due: np.hypot(due.velocity[:, 0], due.velocity[:, 1]))
     remaining = property(lambda due: integers(100.0 * np.clip(1.0 - due.charge_ah / CAPACITY_AH, 0.0, 1.0), 8))
@@ -242,6 +231,10 @@ class _Due:
 
     def __init__(self, filtered: FilteredSamples, rows: IntArray, dialect: Dialect) -> None:
         self.filtered, self.rows, self.dialect, self.profile = filtered, rows, dialect, dialect.profile
+
+    def __getattr__(self, name: str) -> Any:
+        sent = self.filtered if name in FilteredSamples._fields else self.filtered.samples
+        return getattr(sent, name)[self.rows]
 
     @property
     def place(self) -> dict[str, IntArray]:
@@ -282,7 +275,7 @@ def _servo_output(due: _Due) -> Columns:
 
 def _battery(due: _Due) -> Columns:
     voltages = np.full((len(due.rows), 10), 0xFFFF)
-    voltages[:, :CELLS] = integers(1e3 * due.volts / CELLS, 17)[:, None]
+    voltages[:, :CELLS] = integers(1e3 * due.battery_v / CELLS, 17)[:, None]
     return {
         "battery_function": 1,  # MAV_BATTERY_FUNCTION_ALL
         "type": 1,  # MAV_BATTERY_TYPE_LIPO
@@ -298,14 +291,17 @@ def _battery(due: _Due) -> Columns:
 def _esc_status(due: _Due) -> Columns:
     rpm, n = _groups(integers(due.rpm, 32)), len(due.rows)
     groups = len(rpm) // n
-    index, volts = np.tile(ESC_GROUP * np.arange(groups), n), np.repeat(due.volts[:, None], due.duty.shape[1], axis=1)
+    index, volts = (
+        np.tile(ESC_GROUP * np.arange(groups), n),
+        np.repeat(due.battery_v[:, None], due.duty.shape[1], axis=1),
+    )
     return {"time_usec": np.repeat(due.time_usec, groups), "index": index, "rpm": rpm, "voltage": _groups(volts)}
 
 
 def _esc_telemetry(first: int) -> Callable[[_Due], Columns]:
     def build(due: _Due) -> Columns:
         rpm = integers(due.rpm[:, first : first + ESC_GROUP], 17)
-        volts = np.repeat(integers(100.0 * due.volts, 17)[:, None], rpm.shape[1], axis=1)
+        volts = np.repeat(integers(100.0 * due.battery_v, 17)[:, None], rpm.shape[1], axis=1)
         warm = np.full(rpm.shape, ESC_TEMPERATURE_C)
         return {"rpm": _groups(rpm), "voltage": _groups(volts), "temperature": _groups(warm)}
 
@@ -323,7 +319,7 @@ _BUILDERS: Mapping[int, Callable[[_Due], Columns]] = {
     },
     MessageId.SYS_STATUS: lambda due: {
         **{f"onboard_control_sensors_{state}": HEALTH for state in ("present", "enabled", "health")},
-        "voltage_battery": integers(1e3 * due.volts, 17),
+        "voltage_battery": integers(1e3 * due.battery_v, 17),
         "current_battery": -1,  # not measured
         "battery_remaining": due.remaining,
     },
@@ -336,9 +332,9 @@ _BUILDERS: Mapping[int, Callable[[_Due], Columns]] = {
     MessageId.ATTITUDE: lambda due: {"roll": due.angles, "rollspeed": due.gyro},
     MessageId.ATTITUDE_QUATERNION: lambda due: {"q1": _quaternion(due.angles), "rollspeed": due.gyro},
     MessageId.ATTITUDE_TARGET: lambda due: {
-        "q": _quaternion(due.filtered.samples.setpoint[due.rows]),
-        "body_roll_rate": due.filtered.samples.rate_setpoint[due.rows],
-        "thrust": due.filtered.samples.thrust_setpoint[due.rows],
+        "q": _quaternion(due.setpoint),
+        "body_roll_rate": due.rate_setpoint,
+        "thrust": due.thrust_setpoint,
     },
     # the true position: motion capture gives it to a fraction of a millimetre
     MessageId.LOCAL_POSITION_NED: lambda due: {"x": due.position, "vx": due.velocity},
@@ -361,7 +357,7 @@ _BUILDERS: Mapping[int, Callable[[_Due], Columns]] = {
         "airspeed": due.speed,
         "groundspeed": due.speed,
         "heading": integers(due.heading, 16) % 360,
-        "throttle": integers(100.0 * np.nan_to_num(due.filtered.samples.thrust_setpoint[due.rows]), 17),
+        "throttle": integers(100.0 * np.nan_to_num(due.thrust_setpoint), 17),
         "alt": to_global(due.position)[:, 2],
         "climb": -due.velocity[:, 2],
     },
@@ -370,10 +366,7 @@ _BUILDERS: Mapping[int, Callable[[_Due], Columns]] = {
     MessageId.BATTERY_STATUS: _battery,
     MessageId.SERVO_OUTPUT_RAW: _servo_output,
     MessageId.ACTUATOR_OUTPUT_STATUS: lambda due: {"active": due.duty.shape[1], "actuator": due.outputs},
-    MessageId.VIBRATION: lambda due: {
-        "vibration_x": due.filtered.vibration[due.rows],
-        "clipping_0": due.filtered.clippings[due.rows],
-    },
+    MessageId.VIBRATION: lambda due: {"vibration_x": due.vibration, "clipping_0": due.clippings},
     MessageId.ESC_STATUS: _esc_status,
     **{MessageId.ESC_TELEMETRY_1_TO_4 + k: _esc_telemetry(ESC_GROUP * k) for k in range(3)},
 }

@@ -38,20 +38,21 @@ class TelemetryStream:
     def __init__(self, link: LinkSpec, seed: int, rotors: int = 4) -> None:
         self._dialect, self._loss = dialect_named(link.profile), link.loss
         self._decoder, self._state = SampleDecoder(self._dialect.profile), SampleState()
-        self._times = {int(source.message): source.time for source in sources(self._dialect.profile)}
+        read = sources(self._dialect.profile)
+        self._tick_ns = {int(row.message): row.time[1].tick_ns if row.time else NS_PER_MS for row in read}
         self._schedule = self._dialect.schedule(link.rate_hz, rotors)
         self._filters = ImuFilters(self._dialect, seed)
-        self._losses = {msgid: np.random.default_rng([seed, msgid]) for msgid in self._times}
+        self._losses = {msgid: np.random.default_rng([seed, msgid]) for msgid in self._tick_ns}
 
     def step(self, samples: PlantSamples) -> Telemetry:
         """The next block (n >= 1)."""
         filtered = self._filters.step(samples)
         payloads, found, times = [b""], [np.empty(0, FRAME)], [np.empty(0, np.int64)]
         for msgid, due in self._schedule.due(samples.t_ns):
-            if msgid not in self._times:  # the receiver reads nothing from it
+            if msgid not in self._tick_ns:  # the receiver reads nothing from it
                 continue
             at, record = records(msgid, filtered, due, self._dialect)
-            size, time = record.itemsize, self._times[msgid]
+            size, tick_ns = record.itemsize, self._tick_ns[msgid]
             if self._loss:
                 kept = np.flatnonzero(self._losses[msgid].random(len(at)) >= self._loss)
                 at, record = at[kept], record.view(f"V{size}")[kept].view(record.dtype)
@@ -59,10 +60,7 @@ class TelemetryStream:
             rows["row"], rows["sender"], rows["host_ns"] = ROWS[msgid], 1 << 8 | AUTOPILOT, samples.t_ns[at]
             rows["body"] = sum(map(len, payloads)) + size * np.arange(len(at))
             rows["stop"] = rows["body"] + size
-            if time is None:  # a message without a time of its own
-                times.append(filtered.stamp_ns[at] // NS_PER_MS * NS_PER_MS)
-            else:
-                times.append(record[time[0]].astype(np.int64) * time[1].tick_ns)
+            times.append(filtered.stamp_ns[at] // tick_ns * tick_ns)
             payloads.append(record.tobytes())
             found.append(rows)
         rows, t_ns = np.concatenate(found), np.concatenate(times)

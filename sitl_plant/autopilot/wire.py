@@ -3,8 +3,7 @@
 import math
 from typing import NamedTuple, TypeAlias
 
-from mavdiag.errors import UsageError
-from mavdiag.link.codec import Argument, Frame, field_index
+from mavdiag.link.codec import Argument, Frame, layout_of
 from mavdiag.link.messages import MessageId
 
 NOT_SET = 0x7FFFFFFF  # of the integers x and y
@@ -32,11 +31,7 @@ Action: TypeAlias = Reply | Forward
 
 def optional(frame: Frame, name: str) -> float | None:
     """A number from a frame; None for a field that its message has not, and for what is no finite number."""
-    try:
-        place = field_index(frame.msgid, name)
-    except UsageError:
-        return None
-    value = frame.fields[place]
+    value = frame.value(name) if name in layout_of(frame.msgid).names else None
     return value if isinstance(value, int | float) and math.isfinite(value) else None
 
 

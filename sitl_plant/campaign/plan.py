@@ -11,7 +11,7 @@ import json
 import math
 import zlib
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from enum import StrEnum
 from functools import partial
@@ -26,7 +26,7 @@ from mavdiag.errors import UsageError
 from mavdiag.monitors.base import FaultKind
 from mavdiag.units import S_PER_H
 from sitl_plant.autopilot.telemetry import LinkSpec
-from sitl_plant.physics.faults import FAULTS, Fault, Injection, RotorDamage, SensorFault
+from sitl_plant.physics.faults import FAULTS, Injection, RotorDamage, SensorFault
 from sitl_plant.physics.parameters import STEP_S
 from sitl_plant.physics.sensors import isolating_hz
 from sitl_plant.plant import PlantConfig
@@ -60,11 +60,11 @@ class Cause(NamedTuple):
     """What goes wrong; a sensor fault acts on a random axis, with a random sign of offset and drift."""
 
     group: Group
-    what: Fault | RotorDamage | SensorFault
+    what: RotorDamage | SensorFault
 
 
 CAUSES: Mapping[str, Cause] = {
-    **{fault.code: Cause(Group.FAULT, fault) for fault in FAULTS},
+    **{code: Cause(Group.FAULT, damage) for code, damage in FAULTS.items()},
     "chipping": Cause(Group.BLADE, RotorDamage(1.0 - 0.03, 1.03, unbalance_g_mm=0.05 * 60.0)),
     "bending": Cause(Group.BLADE, RotorDamage(1.0 - 0.04, 1.05)),
     "added-mass": Cause(Group.BLADE, RotorDamage(unbalance_g_mm=0.05 * 50.0)),
@@ -85,13 +85,15 @@ CAUSES: Mapping[str, Cause] = {
 
 def causes_named(names: Iterable[str]) -> tuple[str, ...]:
     """The causes of some names or groups, each once. Raises UsageError for an unknown one."""
-    chosen: list[str] = []
-    for name in names:
-        members = [cause for cause, row in CAUSES.items() if name in (cause, row.group)]
-        if not members:
-            raise UsageError(f"no cause {name!r}: give {', '.join([*Group, *CAUSES])}")
-        chosen += members
-    return tuple(dict.fromkeys(chosen))
+    meaning = {str(group): [name for name, cause in CAUSES.items() if cause.group is group] for group in Group}
+    return _known("cause", meaning | {name: [name] for name in CAUSES}, names)
+
+
+def _known(factor: str, meaning: Mapping[str, Iterable[str]], names: Iterable[str]) -> tuple[str, ...]:
+    """What the names mean, each once. Raises UsageError for a name that is not known."""
+    if unknown := set(names) - meaning.keys():
+        raise UsageError(f"no {factor} {min(unknown)!r}: give one of {', '.join(meaning)}")
+    return tuple(dict.fromkeys(chosen for name in names for chosen in meaning[name]))
 
 
 def injections_of(
@@ -101,9 +103,9 @@ def injections_of(
     if name == HEALTHY:
         return ()
     cause = CAUSES[name].what
-    if isinstance(cause, Fault):
-        cause = cause.damage(phenomenology)
-    elif isinstance(cause, SensorFault):
+    if isinstance(cause, RotorDamage):
+        cause = cause.fitted(phenomenology)
+    else:
         axis, sign = int(rng.integers(3)), float(rng.choice([-1.0, 1.0]))
         cause = replace(cause, axis=axis, offset=sign * cause.offset, drift_per_s=sign * cause.drift_per_s)
     return (Injection(cause, rotor, onset_s),)
@@ -235,11 +237,8 @@ class FlightTask:
     session: int = 0  # 0 is that of the healthy flights learnt from, each other a day later
 
 
-def _known(factor: str, table: Collection[str], names: tuple[str, ...]) -> tuple[str, ...]:
-    """Each name once, all of the table for `EVERY`. Raises UsageError for a name that is not in it."""
-    if unknown := set(names) - {*table, EVERY}:
-        raise UsageError(f"no {factor} {min(unknown)!r}: give one of {', '.join(table)}")
-    return tuple(table) if EVERY in names else tuple(dict.fromkeys(names))
+def _one_or_every(factor: str, table: Iterable[str]) -> AfterValidator:
+    return AfterValidator(partial(_known, factor, {**{name: [name] for name in table}, EVERY: list(table)}))
 
 
 _Count: TypeAlias = Annotated[int, Field(ge=1)]
@@ -259,13 +258,13 @@ class Design:
     cause: Annotated[tuple[str, ...], BeforeValidator(causes_named)] = tuple(CAUSES)
     rotor: tuple[_Count, ...] | None = None  # None for every rotor of the vehicle
     phenomenology: tuple[Annotated[float, Field(ge=0, le=1)], ...] = (0.0, 0.5, 1.0)
-    manoeuvre: Annotated[tuple[str, ...], AfterValidator(partial(_known, "manoeuvre", MANOEUVRES))] = USUAL
+    manoeuvre: Annotated[tuple[str, ...], _one_or_every("manoeuvre", MANOEUVRES)] = USUAL
     wind: tuple[Annotated[float, Field(ge=0, le=10)], ...] = (0.0, 1.0)
     payload: tuple[Annotated[float, Field(ge=0, le=1000)], ...] = (0.0, 100.0)
     link: tuple[str, ...] = ("qdrone2@1000",)
     loss: tuple[Annotated[float, Field(ge=0, le=0.9)], ...] = (0.0,)
     # each with its share of flights and hours
-    condition: Annotated[tuple[str, ...], AfterValidator(partial(_known, "condition", CONDITIONS))] = (CALM,)
+    condition: Annotated[tuple[str, ...], _one_or_every("condition", CONDITIONS)] = (CALM,)
     vehicle: Vehicle = field(default_factory=qdrone2, repr=False)
 
     def __post_init__(self) -> None:

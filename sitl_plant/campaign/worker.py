@@ -42,7 +42,7 @@ from sitl_plant.campaign.plan import (
     parse_link,
     task_sequence,
 )
-from sitl_plant.physics.airframe import Airframe, Payload, PickUp, Wear, draw_airframe, in_session, with_propellers
+from sitl_plant.physics.airframe import Airframe, Payload, draw_airframe, in_session, with_propellers
 from sitl_plant.plant import PlantConfig
 from sitl_plant.vehicle import Vehicle, airframe_of
 
@@ -69,8 +69,6 @@ class LearnResult:
     """A baseline, as text, or why there is none."""
 
     key: str
-    airframe: int
-    link: str
     baseline: str = ""
     error: str = ""
     record: Literal["learn"] = "learn"
@@ -78,12 +76,11 @@ class LearnResult:
 
 @dataclass(frozen=True, slots=True)
 class MonitorResult:
-    """One monitor in one flight: alarms before and after the onset, the first of these after it, time judged [s]."""
+    """One monitor in one flight: alarms before and after the onset, time judged [s]."""
 
     name: str
     before: int
     after: int
-    latency_s: float | None
     judged_s: float = 0.0
 
 
@@ -156,30 +153,30 @@ def _config(airframe: Airframe, flown: Conditions, duration_s: float, rng: np.ra
     )
 
 
-def _on_the_day(seed: int, airframe: Airframe, task: FlightTask) -> tuple[Airframe, Wear | None]:
+def _on_the_day(seed: int, airframe: Airframe, task: FlightTask) -> tuple[Airframe, tuple[float, ...], float]:
     row, number = CONDITIONS[task.conditions.condition], task.learnt.airframe
     if not task.session:
-        return airframe, None
+        return airframe, (), 0.0
     rng = np.random.default_rng(np.random.SeedSequence([seed, 0x5E55, number, task.session]))
     if row.session:
         airframe = in_session(airframe, rng)
     if row.propellers:
         airframe = with_propellers(airframe, row.propellers, rng)
     if not row.wear_per_h:
-        return airframe, None
+        return airframe, (), 0.0
     losses = np.random.default_rng(np.random.SeedSequence([seed, 0x3EA2, number])).random(len(airframe.vehicle.rotors))
-    return airframe, Wear(tuple((row.wear_per_h * losses).tolist()), WEAR_H * float(rng.random()))
+    return airframe, tuple((row.wear_per_h * losses).tolist()), WEAR_H * float(rng.random())
 
 
-def _pickup(task: FlightTask, rng: np.random.Generator) -> PickUp | None:
+def _pickup(task: FlightTask, rng: np.random.Generator) -> dict[str, Any]:
     row = CONDITIONS[task.conditions.condition]
     if not row.pickup_g:
-        return None
+        return {}
     angle, at_s, drop_s = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(*PICKUP), rng.uniform(*DROP)
     beside = 1e-3 * row.pickup_offset_mm
     place = (float(beside * np.cos(angle)), float(beside * np.sin(angle)), PAYLOAD_BELOW_M)
     end_s = float(task.duration_s * drop_s) if rng.random() < 0.5 else np.inf
-    return PickUp(Payload(row.pickup_g * 1e-3, place), float(task.duration_s * at_s), end_s)
+    return {"pickup": Payload(row.pickup_g * 1e-3, place), "pickup_s": (float(task.duration_s * at_s), end_s)}
 
 
 def _flown(
@@ -201,15 +198,15 @@ def learn_task(job: tuple[str, LearnTask], seed: int) -> LearnResult:
     try:
         baseline = learn(flights, LearnOptions(airframe=airframe_of(airframe.vehicle, airframe.name)), created=CREATED)
     except MavdiagError as error:
-        return LearnResult(key, task.airframe, task.link, error=str(error))
-    return LearnResult(key, task.airframe, task.link, dump(baseline))
+        return LearnResult(key, error=str(error))
+    return LearnResult(key, dump(baseline))
 
 
 def fly_task(job: tuple[str, FlightTask, LearnResult], seed: int) -> FlightResult:
     """Fly once and judge the flight by what was learnt of the airframe. job: key, task, and that."""
     key, task, learnt = job
     drawn, row, sequence = task.learnt, CONDITIONS[task.conditions.condition], task_sequence(seed, task)
-    airframe, wear = _on_the_day(seed, specimen(seed, drawn.airframe, drawn.vehicle), task)
+    airframe, wear_per_h, worn_h = _on_the_day(seed, specimen(seed, drawn.airframe, drawn.vehicle), task)
     rng, own = np.random.default_rng(sequence), np.random.default_rng(sequence.spawn(1)[0])
     onset_s = None if task.cause == HEALTHY else round(task.duration_s * float(rng.uniform(*ONSET)), 3)
     injections = injections_of(task.cause, task.rotor, onset_s or 0.0, task.phenomenology, rng)
@@ -218,8 +215,9 @@ def fly_task(job: tuple[str, FlightTask, LearnResult], seed: int) -> FlightResul
         injections=injections,
         turbulence_m_s=row.turbulence_m_s,
         outages_per_min=row.outages_per_min,
-        pickup=_pickup(task, own),
-        wear=wear,
+        wear_per_h=wear_per_h,
+        worn_h=worn_h,
+        **_pickup(task, own),
     )
     number = 0 if task.session else len(drawn.flights)
     log, flown_s = _flown(config, drawn, task.duration_s, task.loss, f"flight {task.index}", task.session, number)
@@ -234,18 +232,17 @@ def fly_task(job: tuple[str, FlightTask, LearnResult], seed: int) -> FlightResul
 
 
 def _line(key: str, task: FlightTask, judged: JudgedFlight, onset_s: float | None, flown_s: float) -> FlightResult:
-    verdict, border_s = judged.verdict, flown_s if onset_s is None else onset_s
+    verdict, border_s = judged.verdict, np.inf if onset_s is None else onset_s
     before = [event for event in verdict.events if event.t_s < border_s]
-    after = [] if onset_s is None else [event for event in verdict.events if event.t_s >= border_s]
+    after = [event for event in verdict.events if event.t_s >= border_s]
     stages = [None, *(change.stage for change in verdict.changes)]
     came = (change for before, change in zip(stages, verdict.changes, strict=False) if before is not Stage.FAULT)
     declared = [change.t_ns / NS_PER_S for change in came if change.stage is Stage.FAULT]
-    late = [] if onset_s is None else [t_s - border_s for t_s in declared if t_s >= border_s]
+    late = [t_s - border_s for t_s in declared if t_s >= border_s]
     monitors = []
     for monitor in verdict.monitors:
         early, own = ([event for event in part if event.monitor == monitor.name] for part in (before, after))
-        counts = _episodes(early), _episodes(own), _latency(own, border_s)
-        monitors.append(MonitorResult(monitor.name, *counts, round(monitor.judged_s, 3)))
+        monitors.append(MonitorResult(monitor.name, _episodes(early), _episodes(own), round(monitor.judged_s, 3)))
     names = ("index", "cause", "rotor", "phenomenology", "conditions", "loss", "session")
     asked: dict[str, Any] = {name: getattr(task, name) for name in names}
     return FlightResult(
@@ -259,13 +256,13 @@ def _line(key: str, task: FlightTask, judged: JudgedFlight, onset_s: float | Non
         healthy_s=round(verdict.judged_s if onset_s is None else _judged_s(judged, onset_s), 3),
         onset_s=onset_s,
         episodes=_episodes(before),
-        latency_s=_latency(after, border_s),
+        latency_s=round(min(event.t_s for event in after) - border_s, 3) if after else None,
         answer=_answer(verdict, after),
         monitors=tuple(monitors),
         faults=sum(t_s < border_s for t_s in declared),
         declared_s=round(min(late), 3) if late else None,
         score_before=_score(judged, -np.inf, border_s),
-        score_after=None if onset_s is None else _score(judged, border_s, np.inf),
+        score_after=_score(judged, border_s, np.inf),
         **asked,
     )
 
@@ -295,10 +292,6 @@ def _episodes(events: Sequence[Event]) -> int:
         count += event.t_s > until_s + EPISODE_S
         until_s = max(until_s, np.inf if event.end_s is None else event.end_s)
     return count
-
-
-def _latency(events: Sequence[Event], onset_s: float) -> float | None:
-    return round(min(event.t_s for event in events) - onset_s, 3) if events else None
 
 
 def _answer(verdict: LogVerdict, after: Sequence[Event]) -> Answer:

@@ -46,12 +46,6 @@ class HilOptions:
     truth: Path | None
     parameters_of: AutopilotName | None
 
-    def print_parameters(self, *, hardware: bool = False) -> bool:
-        """Print the file of parameters if it was asked for, and say so."""
-        if self.parameters_of:
-            typer.echo(parameter_file(self.config.vehicle, self.parameters_of, hardware=hardware), nl=False)
-        return bool(self.parameters_of)
-
     @contextmanager
     def serving(
         self, endpoint: str, link: str, rate_hz: float, autopilot: str, outputs: OutputMap
@@ -120,7 +114,8 @@ def serve_ardupilot(
 
     Rotors and outputs are those of the table [hil] of the vehicle's file.
     """
-    if asked.print_parameters():
+    if asked.parameters_of:
+        typer.echo(parameter_file(asked.config.vehicle, asked.parameters_of), nl=False)
         return
     outputs = output_map(asked.config.vehicle, "ardupilot")
     if parse_address(listen).kind is not Kind.UDP_IN:
@@ -131,18 +126,19 @@ def serve_ardupilot(
         while goes_on():
             received = port.receive(POLL_S)
             for (data, _), peer in zip(received, received.sources, strict=True):
-                foreign = counts.foreign
+                foreign = counts["foreign"]
                 answer = lockstep.feed(data, peer, time.monotonic())
                 if answer is not None:
                     port.answer(answer, peer)
-                elif counts.foreign == 1 > foreign:
+                elif counts["foreign"] == 1 > foreign:
                     what = f"{len(data)} bytes that are no servo frame of ArduPilot"
                     commandline.say(f"ignored {what}, and shall ignore others too", err=True)
     took_s = time.monotonic() - started_s
     typer.echo(
-        f"{simulation.t_s:.1f} s flown in {took_s:.1f} s; {counts.frames} frames ({counts.frames / took_s:.0f}/s), "
-        f"{counts.resent} answered again, {counts.restarts} restarts of the autopilot, "
-        f"{counts.foreign} foreign datagrams, {counts.ignored} of a replaced autopilot"
+        f"{simulation.t_s:.1f} s flown in {took_s:.1f} s; "
+        f"{counts['frames']} frames ({counts['frames'] / took_s:.0f}/s), {counts['resent']} answered again, "
+        f"{counts['restarts']} restarts of the autopilot, {counts['foreign']} foreign datagrams, "
+        f"{counts['ignored']} of a replaced autopilot"
     )
 
 
@@ -181,7 +177,8 @@ def _serve_mavlink(asked: HilOptions, address: str, rate_hz: float, *, period_s:
 
     period_s: wall clock from one sensor message to the next in lockstep, 0 for as fast as it goes; else real time.
     """
-    if asked.print_parameters(hardware=hardware):
+    if asked.parameters_of:
+        typer.echo(parameter_file(asked.config.vehicle, asked.parameters_of, hardware=hardware), nl=False)
         return
     outputs, peer = output_map(asked.config.vehicle, "px4"), "a flight controller" if hardware else "PX4"
     with asked.serving(address, "px4-hil", rate_hz, peer, outputs) as (endpoint, simulation, goes_on):

@@ -11,9 +11,8 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from mavdiag.errors import UsageError
-from mavdiag.link.parameters import Kind
 from mavdiag.telemetry import FloatArray, IntArray
-from sitl_plant.autopilot.dialect import px4_rotors
+from sitl_plant.autopilot.dialect import PX4_KINDS, px4_rotors
 from sitl_plant.physics.faults import Injection
 from sitl_plant.physics.parameters import STEP_S
 from sitl_plant.plant import Change, Plant, PlantConfig, PlantSamples
@@ -78,8 +77,7 @@ def parameter_file(vehicle: Vehicle, autopilot: AutopilotName, *, hardware: bool
     rows |= {"SYS_HITL": 1} if hardware else {}
     output = "HIL_ACT_FUNC" if hardware else "PWM_MAIN_FUNC"
     rows |= {f"{output}{1 + n}": FIRST_MOTOR + n for n in range(len(pilot.rotors))}
-    kinds = {int: Kind.INT32, float: Kind.REAL32}
-    lines = (f"1\t1\t{name}\t{value}\t{kinds[type(value)]}\n" for name, value in rows.items())
+    lines = (f"1\t1\t{name}\t{value}\t{PX4_KINDS[type(value)]}\n" for name, value in rows.items())
     return head + "# Vehicle-Id Component-Id Name Value Type\n" + "".join(lines)
 
 

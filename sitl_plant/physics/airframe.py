@@ -10,7 +10,6 @@ import numpy as np
 
 from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray
-from mavdiag.units import S_PER_H
 from sitl_plant.vehicle import Vehicle
 
 # The seeds that make drones 1, 2 and 3: of n, n + 10, n + 20, ... the first with every draw within 1.5 standard
@@ -43,23 +42,6 @@ class Payload:
 
 
 NO_PAYLOAD = Payload()
-
-
-@dataclass(frozen=True, slots=True)
-class PickUp:
-    """A payload that is taken up at `at_s` of flight time and dropped at `drop_s`; it moves as the vehicle does."""
-
-    payload: Payload = NO_PAYLOAD
-    at_s: float = 10.0
-    drop_s: float = math.inf
-
-    def __post_init__(self) -> None:
-        if not (math.isfinite(self.at_s) and 0.0 < self.at_s < self.drop_s):
-            raise UsageError(f"a pick-up must be after the start and before the drop, not at {self.at_s:g} s")
-
-    def span(self, dt_s: float) -> tuple[int, int]:
-        """First step with the payload, and first step without it again."""
-        return step_at(self.at_s, dt_s), step_at(self.drop_s, dt_s)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,23 +95,6 @@ def drone(vehicle: Vehicle, number: int) -> Airframe:
         raise UsageError(f"drone must be 1, 2 or 3, not {number}")
     rng = np.random.default_rng(DRONE_SEEDS[number - 1])
     return draw_airframe(vehicle, aged=number == AGED_DRONE, rng=rng, name=f"drone {number}")
-
-
-@dataclass(frozen=True, slots=True)
-class Wear:
-    """Blades that wear: each rotor's thrust coefficient falls in proportion to the hours flown."""
-
-    loss_per_h: tuple[float, ...]  # share of thrust per hour of flight, one for each rotor
-    hours: float = 0.0  # flown since the airframe was as drawn
-
-    def __post_init__(self) -> None:
-        if not all(0.0 <= loss <= 1.0 for loss in self.loss_per_h) or not self.hours >= 0.0:
-            raise UsageError("wear needs a loss of 0 to 1 per hour for each rotor, and hours of zero or more")
-
-    def gain(self, t_s: float) -> FloatArray:
-        """What is left of each rotor's thrust, (n,), at a flight time."""
-        lost = np.array(self.loss_per_h) * (self.hours + max(t_s, 0.0) / S_PER_H)
-        return np.maximum(1.0 - lost, 0.0)
 
 
 def with_propellers(airframe: Airframe, spread: float, rng: np.random.Generator) -> Airframe:

@@ -59,18 +59,16 @@ class Estimator(NamedTuple):
 
 
 class TwinEstimator(NamedTuple):
-    """The manufacturer's filters, and its complementary filter's gains."""
+    """The manufacturer's filters, its complementary filter's gains, and what they remember.
 
-    rate: Transition
-    accel: Transition
-    velocity: Transition
+    From `angle` on: of each IMU (2, 3), but for the last three.
+    """
+
+    rate_filter: Transition
+    accel_filter: Transition
+    pose_filter: Transition
     correction_p: float
     correction_i: float
-
-
-class TwinEstimate(NamedTuple):
-    """What the manufacturer's estimators remember; of each IMU (2, 3), but for the last three."""
-
     angle: FloatArray
     rate: FloatArray
     acceleration: FloatArray
@@ -167,21 +165,19 @@ def advance_estimate(
 
 
 @jit
-def advance_estimates(
-    state: TwinEstimate, filters: TwinEstimator, reading: FloatArray, estimate: FloatArray, dt: float
-) -> None:
+def advance_estimates(state: TwinEstimator, reading: FloatArray, estimate: FloatArray, dt: float) -> None:
     """Advance the estimates of two IMUs by one sample, and leave their mean in estimate (9,). reading: (2, 6), FRD."""
     for k in range(IMUS):
-        _low_pass(state.rate[k], state.acceleration[k], filters.rate, reading[k, :3])
-        _low_pass(state.accel[k], state.accel_slope[k], filters.accel, reading[k, 3:])
+        _low_pass(state.rate[k], state.acceleration[k], state.rate_filter, reading[k, :3])
+        _low_pass(state.accel[k], state.accel_slope[k], state.accel_filter, reading[k, 3:])
         phi_seen, theta_seen = tilt_from_accel(state.accel[k, 0], state.accel[k, 1], state.accel[k, 2])
         phi, theta = state.angle[k, 0], state.angle[k, 1]
         dphi, dtheta, dpsi = euler_rates(phi, theta, reading[k, 0], reading[k, 1], reading[k, 2])
         error_phi, error_theta = wrapped(phi_seen - phi), theta_seen - theta
-        state.correction[k, 0] += dt * filters.correction_i * error_phi
-        state.correction[k, 1] += dt * filters.correction_i * error_theta
-        dphi = dphi + filters.correction_p * error_phi + state.correction[k, 0]
-        dtheta = dtheta + filters.correction_p * error_theta + state.correction[k, 1]
+        state.correction[k, 0] += dt * state.correction_i * error_phi
+        state.correction[k, 1] += dt * state.correction_i * error_theta
+        dphi = dphi + state.correction_p * error_phi + state.correction[k, 0]
+        dtheta = dtheta + state.correction_p * error_theta + state.correction[k, 1]
         state.angle[k, 0] = wrapped(phi + dt * dphi)
         state.angle[k, 1] = wrapped(theta + dt * dtheta)
         state.angle[k, 2] += dt * dpsi
@@ -192,9 +188,9 @@ def advance_estimates(
 
 
 @jit
-def see(state: TwinEstimate, filters: TwinEstimator, pose: FloatArray) -> None:
+def see(state: TwinEstimator, pose: FloatArray) -> None:
     """Filter the cameras' pose (4,) as the manufacturer does; yaw is unwrapped first."""
-    f11, f12, f21, f22 = filters.velocity
+    f11, f12, f21, f22 = state.pose_filter
     for i in range(4):
         behind, rate = state.seen[i] - pose[i], state.velocity[i]
         if i == 3:

@@ -48,18 +48,18 @@ class Body(NamedTuple):
 @jit
 def rotate_to_body(state: FloatArray, v_x: float, v_y: float, v_z: float) -> tuple[float, float, float]:
     """A world vector in body axes: v_B = R(q)^T v_N, with q of unit length from the state row."""
-    w, x, y, z = state[6], state[7], state[8], state[9]
-    return (
-        (1 - 2 * (y * y + z * z)) * v_x + 2 * (x * y + w * z) * v_y + 2 * (x * z - w * y) * v_z,
-        2 * (x * y - w * z) * v_x + (1 - 2 * (x * x + z * z)) * v_y + 2 * (y * z + w * x) * v_z,
-        2 * (x * z + w * y) * v_x + 2 * (y * z - w * x) * v_y + (1 - 2 * (x * x + y * y)) * v_z,
-    )
+    return _rotated(-state[6], state, v_x, v_y, v_z)
 
 
 @jit
 def rotate_to_world(state: FloatArray, v_x: float, v_y: float, v_z: float) -> tuple[float, float, float]:
     """A body vector in world axes: v_N = R(q) v_B, with q of unit length from the state row."""
-    w, x, y, z = state[6], state[7], state[8], state[9]
+    return _rotated(state[6], state, v_x, v_y, v_z)
+
+
+@jit
+def _rotated(w: float, state: FloatArray, v_x: float, v_y: float, v_z: float) -> tuple[float, float, float]:
+    x, y, z = state[7], state[8], state[9]
     return (
         (1 - 2 * (y * y + z * z)) * v_x + 2 * (x * y - w * z) * v_y + 2 * (x * z + w * y) * v_z,
         2 * (x * y + w * z) * v_x + (1 - 2 * (x * x + z * z)) * v_y + 2 * (y * z - w * x) * v_z,
@@ -124,7 +124,12 @@ def _stand(x: FloatArray, body: Body, ground: Ground, dx: FloatArray, row: int) 
         m_y += c * b_x - a * b_z
         m_z += a * b_y - b * b_x
     for axis in range(3):
-        dx[row, 10 + axis] += body.inverse[axis, 0] * m_x + body.inverse[axis, 1] * m_y + body.inverse[axis, 2] * m_z
+        dx[row, 10 + axis] += _along(body.inverse, axis, m_x, m_y, m_z)
+
+
+@jit
+def _along(matrix: FloatArray, axis: int, x: float, y: float, z: float) -> float:
+    return float(matrix[axis, 0] * x + matrix[axis, 1] * y + matrix[axis, 2] * z)
 
 
 @inline
@@ -145,23 +150,19 @@ def derivative(
         (wrench[stage, 1] - body.drag * v) / body.mass,
         (wrench[stage, 2] - body.drag * w) / body.mass,
     )
-    inertia, inverse = body.inertia, body.inverse
-    h_x = inertia[0, 0] * p + inertia[0, 1] * q + inertia[0, 2] * r
-    h_y = inertia[1, 0] * p + inertia[1, 1] * q + inertia[1, 2] * r
-    h_z = inertia[2, 0] * p + inertia[2, 1] * q + inertia[2, 2] * r + wrench[stage, 6]
+    h_x, h_y, h_z = _along(body.inertia, 0, p, q, r), _along(body.inertia, 1, p, q, r), _along(body.inertia, 2, p, q, r)
+    h_z += wrench[stage, 6]
     m_x = wrench[stage, 3] - body.hub_moment * v - (q * h_z - r * h_y)
     m_y = wrench[stage, 4] + body.hub_moment * u - (r * h_x - p * h_z)
     m_z = wrench[stage, 5] - (p * h_y - q * h_x) - wrench[stage, 7]
-    d_p = inverse[0, 0] * m_x + inverse[0, 1] * m_y + inverse[0, 2] * m_z
-    d_q = inverse[1, 0] * m_x + inverse[1, 1] * m_y + inverse[1, 2] * m_z
-    d_r = inverse[2, 0] * m_x + inverse[2, 1] * m_y + inverse[2, 2] * m_z
     dx[at, 0], dx[at, 1], dx[at, 2] = x[3], x[4], x[5]
     dx[at, 3], dx[at, 4], dx[at, 5] = a_x, a_y, a_z + GRAVITY
     dx[at, 6] = 0.5 * (-q_x * p - q_y * q - q_z * r)  # dq/dt = q * (0, omega) / 2
     dx[at, 7] = 0.5 * (q_w * p + q_y * r - q_z * q)
     dx[at, 8] = 0.5 * (q_w * q + q_z * p - q_x * r)
     dx[at, 9] = 0.5 * (q_w * r + q_x * q - q_y * p)
-    dx[at, 10], dx[at, 11], dx[at, 12] = d_p, d_q, d_r
+    for axis in range(3):
+        dx[at, 10 + axis] = _along(body.inverse, axis, m_x, m_y, m_z)
     if x[2] > ground.reach:
         _stand(x, body, ground, dx, at)
 

@@ -13,12 +13,13 @@ severity (in 23 of 24 trials). `phenomenology` scales rms and lag; with 0 only t
 
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
-from mavdiag.airframe.propellers import PROPELLERS, DamagedPropeller
+from mavdiag.airframe.propellers import PROPELLERS
 from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray
 from mavdiag.units import G_MM_PER_KG_M
@@ -50,6 +51,13 @@ class RotorDamage:
         values = (self.thrust_factor, self.drag_factor, self.fluctuation_rms, self.thrust_lag_s, self.speed_factor)
         if not all(math.isfinite(value) and value >= 0.0 for value in values) or self.fluctuation_corner_hz <= 0.0:
             raise UsageError("rotor damage needs finite factors of zero or more and a positive corner frequency")
+
+    def fitted(self, phenomenology: float) -> Self:
+        """With this share of the fitted terms, 0 (physics only) to 1. Raises UsageError outside."""
+        if not 0.0 <= phenomenology <= 1.0:
+            raise UsageError(f"phenomenology must be 0 to 1, not {phenomenology:g}")
+        rms, lag_s = phenomenology * self.fluctuation_rms, phenomenology * self.thrust_lag_s
+        return replace(self, fluctuation_rms=rms, thrust_lag_s=lag_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,26 +97,6 @@ class Injection:
         return -NEVER if self.onset_s <= 0.0 else step_at(self.onset_s, dt_s)
 
 
-@dataclass(frozen=True, slots=True)
-class Fault:
-    """One damaged propeller, as it was weighed and printed, and what it does; fluctuation and lag are fitted."""
-
-    propeller: DamagedPropeller
-    whole: RotorDamage  # with all of the fitted terms
-
-    @property
-    def code(self) -> str:
-        """The code of T, "F1/SV1" to "F3/SV3"."""
-        return self.propeller.code
-
-    def damage(self, phenomenology: float = 1.0) -> RotorDamage:
-        """What the fault does to a rotor. phenomenology: 0 (physics only) to 1. Raises UsageError outside."""
-        if not 0.0 <= phenomenology <= 1.0:
-            raise UsageError(f"phenomenology must be 0 to 1, not {phenomenology:g}")
-        rms, lag_s = phenomenology * self.whole.fluctuation_rms, phenomenology * self.whole.thrust_lag_s
-        return replace(self.whole, fluctuation_rms=rms, thrust_lag_s=lag_s)
-
-
 # thrust loss %, drag factor | fitted: rms %, corner Hz, lag ms
 _TABLE = (
     (0.8, 1.010, 2.0, 6.0, 0.0),
@@ -121,24 +109,19 @@ _TABLE = (
     (1.1, 1.015, 3.8, 1.0, 0.0),
     (1.5, 1.020, 5.6, 1.0, 0.0),
 )
-FAULTS: tuple[Fault, ...] = tuple(
-    Fault(propeller, RotorDamage(1.0 - loss / 100, drag, propeller.printed_g_mm, rms / 100, corner_hz, lag_ms / 1000))
-    for propeller, (loss, drag, rms, corner_hz, lag_ms) in zip(PROPELLERS, _TABLE, strict=True)
-)
-"""The nine faults in T's order."""
-
-
-def parse_fault(code: str) -> Fault:
-    """The fault of a code such as "F2/SV2"; "f2-sv2" and T's "F2\\SV2" are understood. Raises UsageError otherwise."""
-    match = re.fullmatch(r"F([123])\s*[/\\_-]?\s*SV([123])", code.strip(), re.IGNORECASE)
-    if match is None:
-        raise UsageError(f"no fault {code!r}: give F1, F2 or F3 with SV1, SV2 or SV3, as in F2/SV2")
-    return FAULTS[3 * (int(match[1]) - 1) + int(match[2]) - 1]
+FAULTS: Mapping[str, RotorDamage] = {
+    row.code: RotorDamage(1.0 - loss / 100, drag, row.printed_g_mm, rms / 100, corner_hz, lag_ms / 1000)
+    for row, (loss, drag, rms, corner_hz, lag_ms) in zip(PROPELLERS, _TABLE, strict=True)
+}
+"""What the nine faults do, with all of the fitted terms; by T's codes, "F1/SV1" to "F3/SV3", in T's order."""
 
 
 def fault_injection(code: str, rotor: int, onset_s: float = 0.0, phenomenology: float = 1.0) -> Injection:
-    """A fault of the thesis, by its code, as a cause. Raises UsageError for an unknown code."""
-    return Injection(parse_fault(code).damage(phenomenology), rotor, onset_s, name=code)
+    """A fault of the thesis as a cause; its code may be written "f2-sv2" or "F2\\SV2". Raises UsageError otherwise."""
+    match = re.fullmatch(r"F([123])\s*[/\\_-]?\s*SV([123])", code.strip(), re.IGNORECASE)
+    if match is None:
+        raise UsageError(f"no fault {code!r}: give F1, F2 or F3 with SV1, SV2 or SV3, as in F2/SV2")
+    return Injection(FAULTS[f"F{match[1]}/SV{match[2]}"].fitted(phenomenology), rotor, onset_s, name=code)
 
 
 def rotor_condition(airframe: Airframe, injections: Iterable[Injection], dt_s: float) -> Condition:

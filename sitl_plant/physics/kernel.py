@@ -10,18 +10,19 @@ flight is cut into calls therefore changes nothing, and a purpose that is not as
 """
 
 import math
-from collections.abc import Iterator
+from itertools import accumulate, pairwise, starmap
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from mavdiag.jit import cached_loop, inline, jit
+from mavdiag.jit import cached_loop, inline
 from mavdiag.telemetry import FloatArray
 from sitl_plant.physics import control, dynamics, mocap, rotors, sensors
 from sitl_plant.physics.air import Air, Dryden, Turbulence, advance_wind
 from sitl_plant.physics.trajectory import DISARMED, FLYING, Path, reference
 
 Faults: TypeAlias = sensors.SensorCondition
+FLIGHT_STREAM = 0xF17  # our choice: which random streams those of a recorded set are
 OUTAGE_S = (0.3, 2.0)  # an outage of the cameras lasts so long, uniform (our choice)
 
 
@@ -44,7 +45,7 @@ class Model(NamedTuple):
 class State(NamedTuple):
     """All that changes, updated in place; the last four are what the steps overwrite."""
 
-    told: FloatArray  # what is recorded of a step, one after the other; others are views of it, see `told_parts`
+    told: FloatArray  # what is recorded of a step, one after the other; others are views of it, see `told_columns`
     rigid: FloatArray  # (13,)
     wrench: FloatArray  # (3, 8)
     wind: FloatArray  # (3,)
@@ -65,16 +66,14 @@ class Recorded(NamedTuple):
     """What a recorded set has beside `Model` and `State`: constants, and what changes in place."""
 
     imus: sensors.TwinImu
-    estimators: control.TwinEstimator
+    estimates: control.TwinEstimator
     thrust_map: control.ThrustMap
     squared_per_thrust: float  # speed^2 of a rotor over its thrust by the map, battery gain included [rad^2/s^2/N]
     esc_period: int  # steps from one motor's telemetry to the next one's
     esc_first: int  # step of the first
     over_read: float  # reported over true speed
-    imu_state: sensors.TwinImuState
-    estimates: control.TwinEstimate
     queue: FloatArray  # (delay + 1, n) duties under way
-    esc: FloatArray  # (n,) reported speeds [rad/s], NaN before the first frame
+    esc: FloatArray  # (n,) reported speeds [rad/s], NaN before the first frame; a view of `State.told`
 
 
 class Noise(NamedTuple):
@@ -87,14 +86,12 @@ class Noise(NamedTuple):
     occlusion: FloatArray  # (frames, m), uniform
 
 
-def told_parts(told: FloatArray, rotors: int) -> dict[str, FloatArray]:
-    """The parts of what is recorded, as views; in one piece a step is recorded by one copy. told: (..., 41 + 2 n)."""
+def told_columns(rotors: int) -> dict[str, slice]:
+    """Where the parts of what is recorded stand; in one piece a step is recorded by one copy."""
     widths = {"setpoint": 3, "rate": 3, "wrench": 4, "motors": 1, "imu": sensors.CHANNELS, "estimate": control.ESTIMATE}
-    widths |= {"rigid": dynamics.RIGID, "battery": 2, "duty": rotors, "speed": rotors}
-    return dict(zip(widths, np.split(told, np.cumsum([*widths.values()])[:-1], axis=-1), strict=True))
-
-
-TOLD = 41  # numbers recorded of a step, and two for each rotor
+    widths |= {"rigid": dynamics.RIGID, "battery": 2, "duty": rotors, "speed": rotors, "esc": rotors}
+    ends = accumulate(widths.values(), initial=0)
+    return dict(zip(widths, starmap(slice, pairwise(ends)), strict=True))
 
 
 @inline
@@ -107,9 +104,9 @@ def _sense(state: State, model: Model, own: Recorded | None, faults: Faults, noi
     else:
         for k in range(sensors.IMUS):
             sensors.feel(x, work, own.imus.position[k], truth[k])
-        sensors.advance_imus(own.imu_state, own.imus, faults, truth, state.rotors, noise.imu, row, step, model.dt)
+        sensors.advance_imus(own.imus, faults, truth, state.rotors, noise.imu, row, step, model.dt)
         for i in range(sensors.CHANNELS):
-            state.imu.reading[i] = own.imu_state.reading[0, i]
+            state.imu.reading[i] = own.imus.reading[0, i]
         if step >= own.esc_first and step % own.esc_period == 0:
             motor = len(own.esc) - 1 - (step // own.esc_period) % len(own.esc)  # the last motor is asked first
             own.esc[motor] = own.over_read * state.rotors.speed[motor]
@@ -123,7 +120,7 @@ def _decide(state: State, model: Model, own: Recorded | None, commands: FloatArr
     if own is None:
         control.advance_estimate(estimate, state.accel_filtered, model.estimator, state.imu.reading, pose[3], dt)
     else:
-        control.advance_estimates(own.estimates, own.estimators, own.imu_state.reading, estimate, dt)
+        control.advance_estimates(own.estimates, own.imus.reading, estimate, dt)
     if len(commands) > 0:
         state.control.motors[0] = DISARMED
         for i in range(len(state.control.duty)):
@@ -140,17 +137,10 @@ def _decide(state: State, model: Model, own: Recorded | None, commands: FloatArr
         velocity, r = state.mocap.velocity, estimate[5]
         control.control(state.control, model.controller, path, pose, velocity, r, estimate, None, volts, dt)
     else:
-        control.see(own.estimates, own.estimators, pose)
+        control.see(own.estimates, pose)
         path[3:6], path[7] = 0.0, 0.0  # its V acts on the measured speed alone
         seen, lifts = own.estimates.velocity, own.thrust_map
         control.control(state.control, model.controller, path, pose, seen, seen[3], estimate, lifts, volts, dt)
-
-
-@jit
-def _copy(source: FloatArray, rows: FloatArray, row: int) -> None:
-    """A plain loop, because slice assignment is slow in compiled code."""
-    for i in range(len(source)):
-        rows[row, i] = source[i]
 
 
 @inline
@@ -183,7 +173,6 @@ def fly(
     noise: Noise,
     commands: FloatArray,
     rows: FloatArray,
-    esc: FloatArray,
     model: Model,
     own: Recorded | None,
     condition: rotors.Condition,
@@ -192,8 +181,7 @@ def fly(
 ) -> None:
     """Fly as many steps as there are rows, from step `first` on; 0 is t = 0. `state` and `own` are updated in place.
 
-    commands: (steps, n) duties, or (0, n) to let the controller fly. rows: (steps, 41 + 2 n), see `told_parts`.
-    esc: (steps, n) the speeds that the ESCs told, of a recorded set.
+    commands: (steps, n) duties, or (0, n) to let the controller fly. rows: see `told_columns`.
     """
     frame = 0
     for row in range(len(rows)):
@@ -203,41 +191,35 @@ def fly(
             frame += 1
         _sense(state, model, own, faults, noise, row, step)
         _decide(state, model, own, commands, row, step)
-        _copy(state.told, rows, row)
-        if own is not None:
-            _copy(own.esc, esc, row)
+        for i in range(len(state.told)):  # slice assignment is slow in compiled code
+            rows[row, i] = state.told[i]
         _move(state, model, own, condition, noise, row, step)
 
 
-def outages(per_min: float, rng: np.random.Generator) -> Iterator[tuple[float, float]]:
-    """When the cameras see no marker at all: `per_min` times a minute on average, the gaps between exponential [s]."""
-    end = 0.0
-    while True:
-        start = end + float(rng.exponential(60.0 / per_min))
-        end = start + float(rng.uniform(*OUTAGE_S))
-        yield start, end
+def recorded_streams(seed: int) -> list[np.random.Generator]:
+    """Of a flight with a recorded set: for its levels, and for its sensors."""
+    return [np.random.default_rng(child) for child in np.random.SeedSequence([seed, FLIGHT_STREAM]).spawn(2)]
 
 
 class Streams:
     """The streams of one flight.
 
     turbulence: Dryden gusts and where the wind blows to [rad]; None for the gusts of the vehicle's file.
-    outages_per_min: of the cameras; 0 for none.
+    outages_per_min: how often on average the cameras see no marker at all; the gaps between are exponential.
+    recorded: the vehicle has the two IMUs of a recorded set, which have a stream of their own.
     """
 
     def __init__(
-        self, seed: int, dt_s: float, turbulence: tuple[Dryden, float] | None = None, outages_per_min: float = 0.0
+        self, seed: int, dt_s: float, turbulence: tuple[Dryden, float] | None, outages_per_min: float, recorded: bool
     ) -> None:
-        *children, gusts, lost = map(np.random.default_rng, np.random.SeedSequence(seed).spawn(8))
+        *children, gusts, self._lost = map(np.random.default_rng, np.random.SeedSequence(seed).spawn(8))
         self.angle, self.rotors, self.imu, self.wind, self.markers, self.occlusion = children
         self._dt_s, self._imu_columns = dt_s, sensors.CHANNELS
+        if recorded:
+            self.imu, self._imu_columns = recorded_streams(seed)[1], 2 * sensors.IMUS * sensors.CHANNELS
         self._gusts = Turbulence(*turbulence, dt_s, gusts) if turbulence is not None else None
-        self._coming = outages(outages_per_min, lost) if outages_per_min else None
-        self._outages = [(-math.inf, -math.inf)]  # so far; the last one begins after all frames
-
-    def take_imus(self, imus: np.random.Generator) -> None:
-        """Draw from now on for both IMUs of a vehicle as it was recorded, from a stream of their own."""
-        self.imu, self._imu_columns = imus, 2 * sensors.IMUS * sensors.CHANNELS
+        self._outage_gap_s = 60.0 / outages_per_min if outages_per_min else math.inf
+        self._outages = [(-math.inf, 0.0)]  # so far; the last one begins after all frames
 
     def draw(self, first: int, count: int, model: Model) -> Noise:
         """Numbers for `count` steps from step `first` on."""
@@ -245,11 +227,12 @@ class Streams:
         frame = math.ceil(first / period)
         frames = math.ceil((first + count) / period) - frame
         occlusion = self.occlusion.random((frames, markers))
-        if self._coming is not None:
+        if self._outage_gap_s < math.inf:
             at_s = np.arange(frame, frame + frames, dtype=np.float64) * (period * self._dt_s)
             while frames and self._outages[-1][0] <= at_s[-1]:
-                self._outages.append(next(self._coming))
-            for start, end in self._outages:
+                start = self._outages[-1][1] + float(self._lost.exponential(self._outage_gap_s))
+                self._outages.append((start, start + float(self._lost.uniform(*OUTAGE_S))))
+            for start, end in self._outages[1:]:
                 occlusion[(start <= at_s) & (at_s < end)] = -1.0  # less than any probability: hidden
         return Noise(
             rotors=self.rotors.standard_normal((count, 2 * len(model.rotors.sign))),

@@ -12,7 +12,6 @@ import zlib
 
 import numpy as np
 
-from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray
 from mavdiag.units import RPM
 from sitl_plant.physics import control, kernel, mocap, rotors, sensors
@@ -24,7 +23,7 @@ from sitl_plant.vehicle import RecordedSet, Specimen, Vehicle, allocation
 
 STEP_S = 0.001  # T 5.1: 1 kHz
 TAKEOFF_SHARE = 0.7  # of the weight: where the thrust starts when the motors lift (our choice)
-SPECIMEN_STREAM, FLIGHT_STREAM = 0x5EC, 0xF17  # our choice: which random streams these are
+SPECIMEN_STREAM = 0x5EC  # our choice: which random streams these are
 LEVELS, BIAS, LINE = 0, 1, 2  # what a specimen's streams are for
 BAND_HZ = (50.0, 100.0)  # in which the broad level is given
 
@@ -42,6 +41,7 @@ def make_model(
     noise = math.sqrt(0.5 / STEP_S) * np.repeat([imu.gyro_noise_density, imu.accel_noise_density], 3)
     torque = propulsion.thrust_coefficient_n_s2 / propulsion.thrust_per_torque_1_m
     period = max(1, round(1.0 / (cameras.rate_hz * STEP_S)))
+    gust_rms = float(vehicle.wind.gust_intensity * np.linalg.norm(wind_N))
     return kernel.Model(
         dt=STEP_S,
         body=body,
@@ -65,7 +65,7 @@ def make_model(
             power_per_cube=torque / battery.drive_efficiency,
             avionics=battery.avionics_a,
         ),
-        air=_air(vehicle, wind_N, turbulent),
+        air=Air(wind_N, 1.0, 0.0) if turbulent else Air(wind_N, gust_rms, _decay(vehicle.wind.gust_corner_hz)),
         imu=sensors.Imu(
             position=np.asarray(imu.position_m) - centre,
             bias=np.concatenate([airframe.gyro_bias, np.zeros(3)]),
@@ -91,14 +91,6 @@ def make_model(
         controller=make_controller(vehicle),
         path=path,
     )
-
-
-def _air(vehicle: Vehicle, wind_N: FloatArray, turbulent: bool = False) -> Air:
-    """The wind, with arguments as those of `make_model`."""
-    if turbulent:
-        return Air(wind_N, 1.0, 0.0)
-    wind = vehicle.wind
-    return Air(wind_N, float(wind.gust_intensity * np.linalg.norm(wind_N)), _decay(wind.gust_corner_hz))
 
 
 def body_with_payload(airframe: Airframe, *payloads: Payload) -> tuple[Body, FloatArray]:
@@ -194,8 +186,9 @@ def initial_state(model: kernel.Model, azimuth: FloatArray, charge_used_ah: floa
     lift = weight if start[8] == FLYING else 0.0
     speed = np.sqrt(lift / n / model.rotors.thrust_coefficient)
     z = np.zeros
-    told = z(kernel.TOLD + 2 * n)
-    parts = kernel.told_parts(told, n)
+    columns = kernel.told_columns(n)
+    told = z(columns["esc"].stop)
+    parts = {name: told[place] for name, place in columns.items()}
     rigid, reading, estimate, wrench = parts["rigid"], parts["imu"], parts["estimate"], z((STAGES, WRENCH))
     parts["battery"][:] = model.battery.open_circuit - model.battery.slope * charge_used_ah, charge_used_ah
     parts["wrench"][0], parts["motors"][0], parts["speed"][:] = lift, start[8], speed
@@ -246,14 +239,10 @@ def reload(model: kernel.Model, state: kernel.State, airframe: Airframe, payload
 
 
 def recorded_set(
-    airframe: Airframe, model: kernel.Model, state: kernel.State, seed: int
-) -> tuple[kernel.Recorded, np.random.Generator]:
-    """The recorded set for one flight, and the stream of its sensors. `state` is set to its trim."""
-    recorded = airframe.vehicle.recorded
-    if recorded is None:
-        raise UsageError(f"{airframe.vehicle.name} has no table [recorded]")
-    levels, session = np.random.SeedSequence([seed, FLIGHT_STREAM]).spawn(2)
-    scale = math.exp(recorded.session_rms * np.random.default_rng(levels).standard_normal())
+    airframe: Airframe, recorded: RecordedSet, model: kernel.Model, state: kernel.State, seed: int
+) -> kernel.Recorded:
+    """The recorded set for one flight. `state` is set to its trim."""
+    scale = math.exp(recorded.session_rms * kernel.recorded_streams(seed)[0].standard_normal())
     flown, dt, n, z = state.control, model.dt, len(state.control.duty), np.zeros
     queue = z((round(recorded.command_delay_s / dt) + 1, n))
     flown.integral[:] = 0.0
@@ -262,32 +251,26 @@ def recorded_set(
         flown.integral[2] = model.controller.trim - thrust  # down is positive
         flown.wrench[0] = thrust
         queue[:] = control.voltage_of(recorded.thrust_map, thrust / n) / state.battery[0]
-    imus, channels = sensors.IMUS, sensors.IMUS * sensors.CHANNELS
-    reading, angle, pose = z((imus, sensors.CHANNELS)), z((imus, 3)), state.mocap.pose
-    reading[:, 5], angle[:, 2] = -GRAVITY, state.estimate[2]
-    rate, slope, speed = (
-        control.second_order(*pair, dt)
-        for pair in (recorded.rate_filter, recorded.accel_filter, recorded.velocity_filter)
-    )
-    twin = sensors.TwinImuState(
-        z((channels, 2)), z((channels, 4)), state.imu.drifted, reading, z((sensors.HARMONICS, n, 2))
-    )
-    accel, still = reading[:, 3:].copy(), [z((imus, 3)) for _ in range(3)]
+    imus = _imus(airframe, recorded, model, scale, state.imu.drifted)
+    pairs = recorded.rate_filter, recorded.accel_filter, recorded.velocity_filter
+    rate, slope, speed = (control.second_order(*pair, dt) for pair in pairs)
+    angle, accel, still = z((sensors.IMUS, 3)), imus.reading[:, 3:].copy(), [z((sensors.IMUS, 3)) for _ in range(3)]
+    angle[:, 2] = state.estimate[2]
+    estimator = rate, slope, speed, recorded.complementary_p, recorded.complementary_i, angle, still[0], still[1], accel
     lifted = recorded.thrust_over_command * airframe.battery_gain
-    own = kernel.Recorded(
-        imus=_imus(airframe, recorded, model, scale),
-        estimators=control.TwinEstimator(rate, slope, speed, recorded.complementary_p, recorded.complementary_i),
+    esc = state.told[-n:]
+    esc[:] = np.nan
+    return kernel.Recorded(
+        imus=imus,
+        estimates=control.TwinEstimator(*estimator, still[2], z((sensors.IMUS, 2)), state.mocap.pose.copy(), z(4)),
         thrust_map=recorded.thrust_map,
         squared_per_thrust=lifted / airframe.vehicle.propulsion.thrust_coefficient_n_s2,
         esc_period=max(1, round(recorded.esc_frame_s / dt)),
         esc_first=round(recorded.esc_first_s / dt) if model.path.start > 0.0 else -(1 << 62),
         over_read=recorded.esc_over_read,
-        imu_state=twin,
-        estimates=control.TwinEstimate(angle, still[0], still[1], accel, still[2], z((imus, 2)), pose.copy(), z(4)),
         queue=queue,
-        esc=np.full(n, np.nan),
+        esc=esc,
     )
-    return own, np.random.default_rng(session)
 
 
 def specimen_of(airframe: Airframe, recorded: RecordedSet) -> Specimen:
@@ -312,13 +295,17 @@ def _kept(filters: FloatArray, frequency_hz: FloatArray, dt: float, held: int) -
     return np.asarray(gain * np.abs(np.sin(held * x) / (held * np.sin(x))))
 
 
-def _imus(airframe: Airframe, recorded: RecordedSet, model: kernel.Model, session: float) -> sensors.TwinImu:
+def _imus(
+    airframe: Airframe, recorded: RecordedSet, model: kernel.Model, session: float, drifted: FloatArray
+) -> sensors.TwinImu:
+    from scipy.signal import butter  # only a vehicle as it was recorded has it
+
     specimen, propulsion, chip = specimen_of(airframe, recorded), airframe.vehicle.propulsion, airframe.vehicle.imu
     n, dt = len(airframe.vehicle.rotors), model.dt
     hover = math.sqrt(GRAVITY * airframe.vehicle.body.mass_kg / n / propulsion.thrust_coefficient_n_s2)
     period = max(1, round(recorded.gyro_period_s / dt))
     corners = [recorded.gyro_filter_hz] * 3 + [recorded.accel_filter_hz] * 3
-    filters = np.array([sensors.butterworth3(corner_hz, dt) for corner_hz in corners])
+    filters = np.array([butter(3, corner_hz * dt, fs=1.0, output="sos")[:, [0, 1, 2, 4, 5]] for corner_hz in corners])
     shape, band_hz = sensors.butterworth(recorded.broad_corner_hz, dt, "highpass"), np.linspace(*BAND_HZ, 101)
     shaped, width = sensors.gain_of(shape, band_hz, dt), 2.0 * dt * (BAND_HZ[1] - BAND_HZ[0])
     line = np.concatenate([specimen.gyro_line * np.array(recorded.gyro_axes), recorded.accel_axes])
@@ -339,6 +326,8 @@ def _imus(airframe: Airframe, recorded: RecordedSet, model: kernel.Model, sessio
     phase = rng.uniform(0.0, 2.0 * np.pi, share.shape)
     level, harmonics = session * np.outer(ratio, line), np.array([1.0, specimen.second_harmonic])
     amplitude = math.sqrt(2.0) * level[:, :, None, None] * harmonics[:, None] * share
+    z, channels, reading = np.zeros, sensors.IMUS * sensors.CHANNELS, np.zeros((sensors.IMUS, sensors.CHANNELS))
+    reading[:, 5] = -GRAVITY
     return sensors.TwinImu(
         position=np.array(recorded.imu_positions_m) + model.mocap.centre,
         bias=bias,
@@ -351,4 +340,9 @@ def _imus(airframe: Airframe, recorded: RecordedSet, model: kernel.Model, sessio
         span=np.repeat([recorded.gyro_range_rad_s, recorded.accel_range_m_s2], 3),
         lsb=np.repeat([recorded.gyro_lsb_rad_s, recorded.accel_lsb_m_s2], 3),
         gyro_period=period,
+        shaped=z((channels, 2)),
+        memory=z((channels, 4)),
+        drifted=drifted,
+        reading=reading,
+        turns=z((sensors.HARMONICS, n, 2)),
     )

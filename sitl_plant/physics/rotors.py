@@ -112,12 +112,8 @@ def advance_rotors(
         x, y, z = rotors.hub[i, 0], rotors.hub[i, 1], rotors.hub[i, 2]
         u_x, u_y = condition.unbalance[i, 0], condition.unbalance[i, 1]
         d_x, d_y = condition.lift_offset[i, 0], condition.lift_offset[i, 1]
-        coefficient, drag, slow, before = (
-            rotors.thrust_coefficient[i],
-            condition.drag_gain[i],
-            condition.thrust_lag[i],
-            state.thrust[i],
-        )
+        coefficient, drag = rotors.thrust_coefficient[i], condition.drag_gain[i]
+        slow, before = condition.thrust_lag[i], state.thrust[i]
         excess, cosine, sine = state.speed[i] - wanted, state.turn[i, 0], state.turn[i, 1]
         noise = 1.0 + rotors.noise_rms * state.noise[i]
         gain = condition.thrust_gain[i] * (1.0 + condition.fluctuation_rms[i] * state.fluctuation[i])

@@ -72,7 +72,7 @@ class ImuState(NamedTuple):
 
 
 class TwinImu(NamedTuple):
-    """Constants of both IMUs; arrays begin with the IMU, then the channel."""
+    """Both IMUs: constants, whose arrays begin with the IMU, then the channel, and from `shaped` on what changes."""
 
     position: FloatArray  # (2, 3) from the centre of gravity
     bias: FloatArray  # (2, 6)
@@ -81,19 +81,14 @@ class TwinImu(NamedTuple):
     line: FloatArray  # (2, 6, 2, n, 2) by harmonic, rotor, cosine and sine, at the hover speed
     hover: float  # [rad/s]
     shape: Biquad  # high-pass of the broad part
-    filters: FloatArray  # (6, 2, 5) low-pass of each channel, see `butterworth3`
+    filters: FloatArray  # (6, 2, 5) third-order Butterworth low-pass of each channel: two sections, one after the other
     span: FloatArray  # (6,)
     lsb: FloatArray  # (6,)
     gyro_period: int  # steps of the plant from one gyro sample to the next
-
-
-class TwinImuState(NamedTuple):
-    """Memory of high-pass (12, 2) and low-pass (12, 4), drift of IMU 0 (6,), latest readings (2, 6)."""
-
-    shaped: FloatArray
-    memory: FloatArray
-    drifted: FloatArray
-    reading: FloatArray
+    shaped: FloatArray  # (12, 2) memory of the high-pass
+    memory: FloatArray  # (12, 4) of the low-pass
+    drifted: FloatArray  # (6,) of IMU 0
+    reading: FloatArray  # (2, 6) the latest
     turns: FloatArray  # (2, n, 2) cosine and sine of each harmonic of each rotor, times (w / w_hover)^2
 
 
@@ -108,13 +103,6 @@ def butterworth(corner_hz: float, dt_s: float, kind: Literal["lowpass", "highpas
     a0 = 1.0 + lossy + k * k
     b0, b1 = (k * k / a0, 2.0 * k * k / a0) if kind == "lowpass" else (1.0 / a0, -2.0 / a0)
     return b0, b1, b0, 2.0 * (k * k - 1.0) / a0, (1.0 - lossy + k * k) / a0
-
-
-def butterworth3(corner_hz: float, dt_s: float) -> FloatArray:
-    """Third-order Butterworth low-pass, (2, 5): two sections, one after the other."""
-    from scipy.signal import butter  # only a vehicle as it was recorded has it
-
-    return np.asarray(butter(3, corner_hz * dt_s, fs=1.0, output="sos")[:, [0, 1, 2, 4, 5]])
 
 
 def gain_of(section: Biquad | FloatArray, at_hz: float | FloatArray, dt_s: float) -> FloatArray:
@@ -194,7 +182,6 @@ def advance_imu(
 
 @jit
 def advance_imus(
-    state: TwinImuState,
     imu: TwinImu,
     condition: SensorCondition,
     truth: FloatArray,
@@ -204,11 +191,11 @@ def advance_imus(
     step: int,
     dt: float,
 ) -> None:
-    """Read both IMUs once, into `state.reading`. Injected sensor faults act on IMU 0.
+    """Read both IMUs once, into `imu.reading`. Injected sensor faults act on IMU 0.
 
     truth: (2, 6), what ideal sensors read. normals: (steps, 24): white and broad noise of IMU 0, then of IMU 1.
     """
-    mean, low, turns, n = 0.0, imu.filters, state.turns, len(rotors.speed)
+    mean, low, turns, n = 0.0, imu.filters, imu.turns, len(rotors.speed)
     for r in range(n):
         power = (rotors.speed[r] / imu.hover) ** 2
         c, s = rotors.turn[r, 0], rotors.turn[r, 1]
@@ -220,10 +207,10 @@ def advance_imus(
             at, j = 2 * CHANNELS * k + i, CHANNELS * k + i
             value, noise = truth[k, i], imu.white[k, i]
             if k == 0:
-                state.drifted[i] += condition.drift[i] * dt
-                value = condition.scale[i] * value + condition.offset[i] + state.drifted[i]
+                imu.drifted[i] += condition.drift[i] * dt
+                value = condition.scale[i] * value + condition.offset[i] + imu.drifted[i]
                 noise = math.sqrt(noise * noise + condition.noise[i] * condition.noise[i])
-            shaken = imu.broad[k, i] * biquad(state.shaped, j, 0, imu.shape, normals[row, at + CHANNELS]) * mean
+            shaken = imu.broad[k, i] * biquad(imu.shaped, j, 0, imu.shape, normals[row, at + CHANNELS]) * mean
             for h in range(HARMONICS):
                 for r in range(n):
                     shaken += imu.line[k, i, h, r, 0] * turns[h, r, 0] + imu.line[k, i, h, r, 1] * turns[h, r, 1]
@@ -231,7 +218,7 @@ def advance_imus(
             value += shaken
             for s in range(2):
                 section = (low[i, s, 0], low[i, s, 1], low[i, s, 2], low[i, s, 3], low[i, s, 4])
-                value = biquad(state.memory, j, 2 * s, section, value)
+                value = biquad(imu.memory, j, 2 * s, section, value)
             if i >= 3 or step % imu.gyro_period == 0:
                 held = min(max(value, -imu.span[i]), imu.span[i])
-                state.reading[k, i] = imu.lsb[i] * np.rint(held / imu.lsb[i])
+                imu.reading[k, i] = imu.lsb[i] * np.rint(held / imu.lsb[i])

@@ -152,7 +152,7 @@ def line(
     index: int, cause: str, episodes: int = 0, latency_s: float | None = None, answer: Answer | None = None, **more: Any
 ) -> FlightResult:
     onset_s, after = None if cause == "healthy" else 20.0, 0 if latency_s is None else 1
-    monitors = (MonitorResult("latency", episodes, after, latency_s), MonitorResult("other", 0, 0, None))
+    monitors = (MonitorResult("latency", episodes, after), MonitorResult("other", 0, 0))
     told: dict[str, Any] = {"phenomenology": 1.0, "verdict": "healthy", "reason": "", "link": "qdrone2@1000", **more}
     told |= {"healthy_s": 60.0 if onset_s is None else 20.0, "onset_s": onset_s, "monitors": monitors}
     told |= {"conditions": Conditions(wind_m_s=float(index % 2)), "loss": 0.0, "flown_s": 60.0, "judged_s": 60.0}

@@ -43,7 +43,7 @@ from sitl_plant.autopilot.commands import Autopilot as Emulated
 from sitl_plant.autopilot.dialect import dialect_named
 from sitl_plant.autopilot.stream import ImuFilters, to_global
 from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry
-from sitl_plant.emulator import Link, obey
+from sitl_plant.emulator import Link
 from sitl_plant.plant import STEP_NS, Plant, PlantConfig
 from sitl_plant.vehicle import vehicle_named
 
@@ -298,7 +298,7 @@ class PilotedVehicle(VirtualEndpoint):
         for action in actions:
             self._link.act(action)
         for order in orders:
-            obey(self.plant, order)
+            order(self.plant)
         self.flown_s += timeout_s * bool(filtered.samples.position[-1, 2] < AIRBORNE_M)
         self.pilot.fly(self.plant.t_ns / NS_PER_S)
         return self._near.receive(0.0)

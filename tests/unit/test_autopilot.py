@@ -19,7 +19,6 @@ from sitl_plant.autopilot.mission import Mission
 from sitl_plant.autopilot.schedule import Schedule
 from sitl_plant.autopilot.stream import to_global
 from sitl_plant.autopilot.wire import Action, Order, Reply
-from sitl_plant.emulator import obey
 from sitl_plant.plant import Plant, PlantConfig
 from sitl_plant.vehicle import airframe_of, shipped_vehicles, vehicle_named
 
@@ -303,7 +302,7 @@ class Vehicle:
             actions, orders = self.autopilot.watch(self.now)
             self._note(actions)
             for order in orders:
-                obey(self.plant, order)
+                order(self.plant)
         self.place, self.armed = tuple(self.now.position[-1].tolist()), bool(self.now.motors[-1])
 
     def _note(self, actions: list[Action]) -> list[Reply]:

@@ -18,7 +18,7 @@ from scipy.stats import kstest, uniform
 from mavdiag.errors import InputError, UsageError
 from mavdiag.telemetry import FloatArray
 from sitl_plant import vehicle as vehicle_module
-from sitl_plant.physics.airframe import Payload, PickUp, drone, with_propellers
+from sitl_plant.physics.airframe import Payload, drone, with_propellers
 from sitl_plant.physics.faults import Injection, RotorDamage, SensorFault, fault_injection
 from sitl_plant.physics.parameters import body_with_payload, initial_state, make_model, reload
 from sitl_plant.physics.trajectory import Shape, path
@@ -51,7 +51,8 @@ BUSY = PlantConfig(
     payload=Payload(0.1),
     turbulence_m_s=8.0,
     outages_per_min=20.0,
-    pickup=PickUp(Payload(0.2, (0.012, -0.016, 0.05)), 0.9, 1.4),
+    pickup=Payload(0.2, (0.012, -0.016, 0.05)),
+    pickup_s=(0.9, 1.4),
     injections=(Injection(SensorFault("gyro", 0, offset=0.1), onset_s=0.5),),
     seed=5,
 )
