@@ -36,7 +36,6 @@ MMAP_THRESHOLD, TRIM_THRESHOLD = -3, -1  # options of mallopt(3)
 MADV_COLLAPSE = 25  # of madvise(2), since Linux 6.1
 HUGE_BYTES = 2 << 20  # the largest huge page: a larger one stays empty for the most part (our choice)
 HUGE_S = 0.01  # in which memory is moved at a time, for nothing else is done meanwhile (our choice)
-ALIGN_BYTES = 8  # of an array in a file: that of its numbers
 ROOM_BYTES = 50_000_000  # of a disk that recordings leave to journals and open inspections (our choice)
 KIND_BYTES = 64  # of a file, which tell its kind (our choice)
 WRITE_BYTES = 1 << 20  # that are written at a time: many together take three times as long (our choice)
@@ -183,8 +182,7 @@ class Shelf:
     def put(self, arrays: Sequence[NDArray[Any]]) -> Callable[[], Arrays]:
         """Keep these arrays. What is returned gives them as often as it is called while the shelf is open.
 
-        What is written to those that come from the file, this call alone has. An array whose rows are all alike takes
-        the place of one. Raises UsageError if the disk is full.
+        What is written to those that come from the file, this call alone has. Raises UsageError if the disk is full.
         """
         size = sum(one.nbytes for one in arrays)
         if size <= self._left:
@@ -197,26 +195,12 @@ class Shelf:
 
     def _written(self, arrays: Sequence[NDArray[Any]]) -> Callable[[], Arrays]:
         file = self._file = self._file or tempfile.TemporaryFile(buffering=0)  # noqa: SIM115  # as long as the shelf is
-        places, known = list[tuple[Any, ...]](), dict[tuple[Any, ...], int]()
-        for number, array in enumerate(arrays):
-            same = known.setdefault((array.ctypes.data, array.dtype, array.shape, array.strides), number)
-            if same != number:  # of one memory, as the times of signals that come together
-                places.append(places[same])
-                continue
-            rows = array if _varies(array) else array[:1]
-            strides = np.empty(rows.shape, rows.dtype, order="F").strides
-            places.append((self._end, array.dtype, array.shape, strides if rows is array else (0, *strides[1:])))
-            columns = _bytes_of(rows.T)
-            self._end += _write(file, columns) + _write(file, memoryview(bytes(-len(columns) % ALIGN_BYTES)))
+        places = []
+        for array in arrays:
+            places.append((array.dtype, "c", self._end, array.shape, "F"))
+            self._end += _write(file, array.T)
             forget(array)
-
-        end, begin = self._end, places[0][0] // mmap.ALLOCATIONGRANULARITY * mmap.ALLOCATIONGRANULARITY
-
-        def get() -> Arrays:
-            mapped = mmap.mmap(file.fileno(), end - begin, access=mmap.ACCESS_COPY, offset=begin)
-            return tuple(np.ndarray(shape, dtype, mapped, at - begin, strides) for at, dtype, shape, strides in places)
-
-        return get
+        return lambda: tuple(np.memmap(file, *place).view(np.ndarray) for place in places)
 
 
 class Column:
@@ -243,7 +227,7 @@ class Column:
             self._file, rows = tempfile.TemporaryFile(buffering=0), self._rows[: self._count]  # noqa: SIM115  # until it is mapped
             self._rows = rows[:0].copy()
         with enough_room(rows.nbytes):
-            _write(self._file, _bytes_of(rows))
+            _write(self._file, rows)
 
     def whole(self) -> NDArray[Any]:
         """All rows, read-only if they lie in a file."""
@@ -251,8 +235,7 @@ class Column:
             self._rows.resize((self._count, *self._rows.shape[1:]), refcheck=False)
             return self._rows
         with self._file as file:
-            mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-        return np.ndarray((self._count, *self._rows.shape[1:]), self._rows.dtype, mapped)
+            return np.memmap(file, self._rows.dtype, "r", shape=(self._count, *self._rows.shape[1:])).view(np.ndarray)
 
 
 def forget(*arrays: NDArray[Any]) -> None:
@@ -315,22 +298,9 @@ def enough_room(size: int) -> Iterator[None]:
         raise UsageError(f"{tempfile.gettempdir()}: {room}; set TMPDIR to a folder with more") from error
 
 
-def _bytes_of(rows: NDArray[Any]) -> memoryview:
-    return memoryview(np.ascontiguousarray(rows).reshape(-1).view(np.uint8).data)
-
-
-def _write(file: BinaryIO, data: memoryview) -> int:
-    """Write all of it piece by piece, of which the system may take less; returns how many bytes these are."""
-    left = data
+def _write(file: BinaryIO, rows: NDArray[Any]) -> int:
+    """Write an array piece by piece, of which the system may take less; returns how many bytes these are."""
+    left = memoryview(np.ascontiguousarray(rows).reshape(-1).view(np.uint8).data)
     while len(left):
         left = left[file.write(left[:WRITE_BYTES]) :]
-    return len(data)
-
-
-def _varies(array: NDArray[Any]) -> bool:
-    """Whether the rows differ; a few of them tell mostly."""
-    few = array[:: len(array) // 100 or 1]
-    return not all(
-        np.array_equal(rows, np.broadcast_to(rows[:1], rows.shape), equal_nan=rows.dtype.kind == "f")
-        for rows in (few, array)
-    )
+    return rows.nbytes
