@@ -4,11 +4,9 @@ Signals and rows are put on a shelf, which is a file if they are many: a flight 
 for each look (guards, fits, scores), and of many flights one is in memory at a time.
 """
 
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 
@@ -128,20 +126,16 @@ def airborne(
     flight: Log | HeldLog,
     shelf: Shelf | None = None,
     outputs: int | None = None,
-    glances: Mapping[str, Callable[[Rows], Iterable[Any]]] = MappingProxyType({}),
 ) -> LearntFlight:
     """The flying part of a flight, put aside, without a shelf in memory.
 
-    outputs: columns of outputs and of rotor speeds that are kept, None for all. glances: what is to be found in the
-    rows, by name, for `Looks.once`. Raises InputError, naming the flight, if there is hardly any.
+    outputs: columns of outputs and of rotor speeds that are kept, None for all. Raises InputError, naming the flight,
+    if there is hardly any.
     """
     shelf = shelf or Shelf(IN_MEMORY)
-    answers: dict[Hashable, list[Any]] = {what: [] for what in glances}
     held, makers, judged, flown = hold(flight, shelf), list[Callable[[], Rows]](), 0, 0
     for rows in pieces_of(front, held.pieces()):
         judged, flown = judged + int(np.count_nonzero(rows.rates.valid)), flown + len(rows.block)
-        for what, glance in glances.items():
-            answers[what] += glance(rows)
         sent, speeds = rows.block.actuator.T[:outputs], rows.block.rotor_speed.T[:outputs]
         block = with_outputs(rows.block, sent, speeds, ROOM)
         get = shelf.put([block.t_ns, block.whole.T, rows.rates_ns])
@@ -151,7 +145,7 @@ def airborne(
         start = f" (without the first {front.gate.trim_start_s:g} s after a take-off or start)"
         why = start * (front.gate.trim_start_s > 0) if flown else " (never armed, or no thrust)"
         raise InputError(f"{held.label.name}: only {judged_s:.1f} s of airborne flight{why}, too short to learn from")
-    return LearntFlight(held, Looks(makers, answers=answers), judged_s)
+    return LearntFlight(held, Looks(makers), judged_s)
 
 
 def outputs_in_use(flights: Sequence[HeldLog]) -> int:

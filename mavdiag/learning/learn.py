@@ -9,6 +9,7 @@ the sensors feel of it: one short hover tells what these are now, and the old fl
 """
 
 import math
+from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
@@ -50,9 +51,9 @@ from mavdiag.monitors.run_length import MarginRule, RunLength
 from mavdiag.printable import counted
 from mavdiag.rows.front import Rows
 from mavdiag.storage import Shelf, give_back, keep_freed
-from mavdiag.telemetry import Axis, Log, Series, Signal, Telemetry, unix_ns
+from mavdiag.telemetry import Axis, FloatArray, Log, Series, Signal, Telemetry, unix_ns
 from mavdiag.thresholds.envelope import Covered
-from mavdiag.thresholds.heldout import Scores, by_axis, folds, maxima, pooled, score
+from mavdiag.thresholds.heldout import Scores, folds, maxima, pooled, score
 from mavdiag.thresholds.rule import (
     BUDGET_PER_HOUR,
     FLIGHTS_PER_SUSPICION,
@@ -133,10 +134,10 @@ def learn(flights: Iterable[Log], options: LearnOptions, *, created: str) -> Bas
         if not held:
             raise InputError("no healthy flight to learn from")
         first, link = held[0].label, PROFILES.get(held[0].label.profile)
-        airframe, told_hz = of_log_kind(options.airframe, first.profile), 0.0
-        if link is not None and airframe.imu_corner_hz is None:
-            told_hz = first.parameters.get(link.imu_corner_parameter, 0.0)
-        airframe = replace(airframe, imu_corner_hz=told_hz) if told_hz > 0.0 else airframe
+        airframe = of_log_kind(options.airframe, first.profile)
+        told_hz = first.parameters.get(link.imu_corner_parameter, 0.0) if link is not None else 0.0
+        if airframe.imu_corner_hz is None and told_hz > 0.0:
+            airframe = replace(airframe, imu_corner_hz=told_hz)
         found = taught(held, options.window_s, airframe.gate, robust=options.robust, shelf=shelf)
         airframe, ordered = with_rotors(airframe, found.flights)
         found = replace(found, flights=tuple(ordered))
@@ -223,33 +224,33 @@ def _fit_all(
         except (InputError, IdentificationError) as error:
             refused[kind] = str(error)
         give_back()
-    parts: dict[type[Monitor[Any]], list[tuple[Axis | None, Scores]]] = {kind: [] for kind in found}
+    parts = defaultdict[tuple[str, Axis | None], list[Scores]](list)
     numbers = {id(flight): number for number, flight in enumerate(flights)}  # pieces are of flight 0
     for fold, (left_out, _) in enumerate(pairs):
         monitors = [monitor for _, fits in found.values() for monitor in fits[fold]]
         for flight in left_out:
             for monitor, scores in zip(monitors, _scores(monitors, flight, numbers.get(id(flight), 0)), strict=True):
-                parts[type(monitor)].append((monitor.axis, scores))
+                parts[monitor.name, monitor.axis].append(scores)
     fitted, refusals = list[Fitted](), list[Refusal]()
     basis = context.airframe.layout_basis if context.airframe.layout is None else ""
     unknown = f" ({basis})" if basis else ""
     for kind in kinds:
-        monitors = list(map(kind, found[kind][0])) if kind in found else []
-        fits = found[kind][1] if kind in found else []
-        axes = [one.axis for one in monitors if all(one.axis in [other.axis for other in fit] for fit in fits)]
-        try:
-            scored = by_axis(parts[kind]) if kind in found else {}
-            reasons = [refused[kind] + unknown * ("layout" in refused[kind])] if kind in refused else []
-        except IdentificationError as error:
-            scored, reasons, monitors = {}, [str(error)], []
-        fitted += [(one, scored[one.axis]) for one in monitors if one.axis in scored and one.axis in axes]
-        short = "too little healthy flight to score it; fly longer"
-        reasons += [f"{one.axis}: {short}" for one in monitors if one.axis not in scored]
-        single = "without a part of the flights it cannot be modelled; fly more that moves this axis"
-        reasons += [f"{one.axis}: {single}" for one in monitors if one.axis in scored and one.axis not in axes]
-        if kind is RunLength and monitors:
+        specs, fits = found.get(kind, ((), ()))
+        scored = [(monitor, pooled(parts[kind.name, monitor.axis])) for monitor in map(kind, specs)]
+        reasons = [refused[kind] + unknown * ("layout" in refused[kind])] if kind in refused else []
+        if kind in found and not any(len(scores.maxima) for _, scores in scored):
+            scored, reasons = [], ["the healthy flights are too short to score the statistic on; fly longer"]
+        for monitor, scores in scored:
+            if not len(scores.maxima):
+                reasons.append(f"{monitor.axis}: too little healthy flight to score it; fly longer")
+            elif any(monitor.axis not in [one.axis for one in fit] for fit in fits):
+                why = "without a part of the flights it cannot be modelled; fly more that moves this axis"
+                reasons.append(f"{monitor.axis}: {why}")
+            else:
+                fitted.append((monitor, scores))
+        if kind is RunLength and scored:
             flat = "it cannot be modelled; fly a trajectory that moves this axis"
-            modelled = [monitor.axis for monitor in monitors]
+            modelled = [monitor.axis for monitor, _ in scored]
             reasons += [f"{axis}: {flat}" for axis in options.axes if axis not in modelled]
         refusals += [Refusal(monitor=kind.name, reason=reason) for reason in reasons]
     return fitted, refusals
@@ -257,11 +258,11 @@ def _fit_all(
 
 def _scores(monitors: Sequence[Monitor[Any]], flight: Sequence[Rows], number: int) -> list[Scores]:
     """What each of several monitors reached in the flight of that number."""
-    found = [[(np.empty(0), 0.0)] for _ in monitors]
+    found: list[list[tuple[FloatArray, float]]] = [[] for _ in monitors]
     for statistics in judged_together(monitors, flight):
         for parts, one in zip(found, statistics, strict=True):
             parts.append((one.value[one.valid], one.period_s))
-    return [maxima(np.concatenate([values for values, _ in parts]), parts[-1][1], number) for parts in found]
+    return [maxima(parts, number) for parts in found]
 
 
 def _shares(

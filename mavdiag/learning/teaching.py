@@ -5,11 +5,11 @@ taken for one: each would be learnt without a word. A guard returns `Finding`s: 
 and what to do about it. All limits are our choices; `benchmarks/broken_teaching.py` has what they find.
 """
 
-import itertools
 import math
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from itertools import chain, groupby, pairwise
+from typing import TypeVar
 
 import numpy as np
 
@@ -63,6 +63,7 @@ NOTED_DISTANCE = 0.005  # of the hover command: as much as new propellers make (
 GROUP_RATIO = 6.0  # of the distance to the spread within the groups (our choice)
 MAX_ROUNDS = 5  # of cutting and looking again; what is far may hide what is less far (our choice)
 GROUP_FLOOR = 0.001  # of the hover command: no mean over a flight is more certain (our choice)
+Found = TypeVar("Found")
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,10 +182,15 @@ def upsets(flights: Sequence[LearntFlight]) -> tuple[Finding, ...]:
     """The upset of each flight that has one, from its first sign to its last, with two seconds around."""
     found = list[Finding]()
     for number, flight in enumerate(flights):
-        if (upset := upset_in(_seen(flight, "motion"))) is not None:
+        if (upset := upset_in(_seen(flight, _motion))) is not None:
             end_s = None if upset.ends else upset.end_s + MARGIN_S
             found.append(Finding(number, flight.label.name, upset.text, upset.begin_s - MARGIN_S, end_s))
     return tuple(found)
+
+
+def _motion(rows: Rows) -> Iterator[FloatArray]:
+    if len(rows.block):
+        yield motion_of(rows.block)
 
 
 def turned(flights: Sequence[LearntFlight], known: Collection[int] = ()) -> tuple[Finding, ...]:
@@ -194,7 +200,7 @@ def turned(flights: Sequence[LearntFlight], known: Collection[int] = ()) -> tupl
     vehicle's commands oppose what moves it, as on a circle. known: axes of which the sign is right.
     """
     found = dict[int, Finding]()
-    sums = np.array([sum(_seen(flight, "turns"), np.zeros((3, 2))) for flight in flights]).reshape(-1, 3, 2)
+    sums = np.array([sum(_seen(flight, _turns), np.zeros((3, 2))) for flight in flights]).reshape(-1, 3, 2)
     r = sums[:, 0] / np.maximum(sums[:, 1:].max(axis=1), np.finfo(float).tiny)
     sign = np.where(np.abs(r) > TURNED, np.sign(r), 0.0)
     for axis, name in enumerate(("roll", "pitch")):
@@ -225,7 +231,7 @@ def far_blocks(flights: Sequence[LearntFlight]) -> tuple[Finding, ...]:
     lies above the median). Lower noise is not far, nor a rate error below 0.5 rad/s, which gusts give. Thrust is far at
     1.5 times or a 1.5th.
     """
-    blocks = [(number, *block) for number, flight in enumerate(flights) for block in _seen(flight, "blocks")]
+    blocks = [(number, *block) for number, flight in enumerate(flights) for block in _seen(flight, _blocks)]
     if len(blocks) < MIN_BLOCKS:
         return ()
     table = np.array(blocks)
@@ -253,7 +259,7 @@ def _blocks(rows: Rows) -> Iterator[tuple[float, ...]]:
     block, rates = rows.block, rows.rates
     noise, size = np.square(np.diff(block.rate.T, n=2)).sum(axis=0), window_rows(BLOCK_S, block.dt_s)
     # a last block that is shorter than half belongs to the one before
-    for first, stop in itertools.pairwise([*range(0, max(1, len(block) - size // 2), size), len(block)]):
+    for first, stop in pairwise([*range(0, max(1, len(block) - size // 2), size), len(block)]):
         if np.count_nonzero(block.valid[first:stop]) < 0.5 * size:
             continue
         low_ns, high_ns = block.t_ns[[first, stop - 1]].tolist()
@@ -275,18 +281,9 @@ def _spans(rows: Rows) -> Iterator[tuple[int, int, int]]:
         yield rows.block.segment, int(t_ns[0]), int(t_ns[-1])
 
 
-_GLANCES: Mapping[str, Callable[[Rows], Iterable[Any]]] = {
-    "motion": lambda rows: [motion_of(rows.block)] if len(rows.block) else [],
-    "turns": _turns,
-    "blocks": _blocks,
-    "spans": _spans,
-}
-
-
-def _seen(flight: LearntFlight, what: str) -> list[Any]:
-    """What a glance finds in the rows of a flight, in order."""
-    found: list[Any] = flight.rows.once(what, lambda flown: [one for rows in flown for one in _GLANCES[what](rows)])
-    return found
+def _seen(flight: LearntFlight, glance: Callable[[Rows], Iterable[Found]]) -> list[Found]:
+    """What a glance at each of the rows of a flight finds, in order."""
+    return flight.rows.once(glance, lambda flown: list(chain.from_iterable(map(glance, flown))))
 
 
 def _compared(logs: FloatArray, busy: FloatArray) -> FloatArray:
@@ -387,7 +384,7 @@ def taught(
         flights = []
         for log in logs:
             try:
-                flights.append(airborne(front, log, shelf, outputs, _GLANCES))
+                flights.append(airborne(front, log, shelf, outputs))
             except InputError as error:
                 if not robust:
                     raise
@@ -418,7 +415,7 @@ def _quality_of(flights: Sequence[LearntFlight]) -> LinkQuality:
     """Which samples of the link the flights make believable."""
     flown = []
     for flight in flights:
-        ends = [list(spans) for _, spans in itertools.groupby(_seen(flight, "spans"), key=lambda span: int(span[0]))]
+        ends = [list(spans) for _, spans in groupby(_seen(flight, _spans), key=lambda span: int(span[0]))]
         flown.append((flight.held, [(spans[0][1], spans[-1][2]) for spans in ends]))
     parts = [  # signal by signal, so that no more of the flights is in memory
         learnt_quality((held.open(signal), spans) for held, spans in flown)
