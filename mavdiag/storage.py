@@ -111,8 +111,11 @@ def leave_room(file: BinaryIO) -> None:
 
 def check_apart(path: Path, *others: Path | None) -> None:
     """Raise UsageError if a file to write is one of the others of the command, by whatever name. None is no file."""
-    for other in others:
-        if other is not None and _same(path, other):
+    for other in filter(None, others):
+        same = False
+        with suppress(OSError):  # of one that is absent
+            same = path.resolve() == other.resolve() or path.samefile(other)
+        if same:
             raise UsageError(f"{path}: is named twice in this command, and would be lost; name another file to write")
 
 
@@ -122,12 +125,6 @@ def begins(path: Path, pattern: bytes) -> bool:
         return True
     with open_regular(path, 1 << 63) as file:
         return re.match(pattern, file.read(KIND_BYTES), re.DOTALL) is not None
-
-
-def _same(path: Path, other: Path) -> bool:
-    with suppress(OSError):  # of one that is absent
-        return path.resolve() == other.resolve() or path.samefile(other)
-    return False
 
 
 def write_atomically(path: Path, content: str | bytes, *, durable: bool = True) -> None:

@@ -138,7 +138,7 @@ def learn(flights: Iterable[Log], options: LearnOptions, *, created: str) -> Bas
         told_hz = first.parameters.get(link.imu_corner_parameter, 0.0) if link is not None else 0.0
         if airframe.imu_corner_hz is None and told_hz > 0.0:
             airframe = replace(airframe, imu_corner_hz=told_hz)
-        found = taught(held, options.window_s, airframe.gate, robust=options.robust, shelf=shelf)
+        found = taught(held, options.window_s, airframe.gate, robust=options.robust)
         airframe, ordered = with_rotors(airframe, found.flights)
         found = replace(found, flights=tuple(ordered))
         if airframe.scope != "type":
@@ -325,7 +325,7 @@ def extend(baseline: Baseline, flights: Iterable[Log], *, new_propellers: bool =
             raise InputError("no healthy flight to add; name one or more logs")
         _check(baseline, held)
         known = baseline.fingerprint
-        learnt = [airborne(front_of(suited(baseline, flight.label)), flight, shelf) for flight in held]
+        learnt = [airborne(front_of(suited(baseline, flight.label)), flight) for flight in held]
         modelled = [one.spec.axis.column for one in baseline.monitors if one.spec.kind == RunLength.name]
         refuse((*upsets(learnt), *turned(learnt, modelled)))
         if known is not None and not new_propellers:

@@ -17,7 +17,6 @@ from mavdiag.airframe.layout import RotorLayout
 from mavdiag.airframe.trim import LEVEL_RATIO, shown_trim
 from mavdiag.errors import InputError
 from mavdiag.learning.flights import (
-    IN_MEMORY,
     LEAVE_OUT,
     PIECE_ROWS,
     HeldLog,
@@ -35,7 +34,7 @@ from mavdiag.rows.grid import steps_of
 from mavdiag.rows.quality import LinkQuality, adds_nothing, learnt_quality
 from mavdiag.rows.upsets import MARGIN_S, motion_of, upset_in
 from mavdiag.rows.windows import means_from, window_rows
-from mavdiag.storage import Shelf, give_back
+from mavdiag.storage import give_back
 from mavdiag.telemetry import FloatArray, IntArray, Log, Signal
 from mavdiag.units import NS_PER_S
 
@@ -106,8 +105,7 @@ def repeated(flights: Iterable[Log | HeldLog]) -> tuple[Finding, ...]:
 
     A copy in another container, or a part of a log, has the same gyro values, while their stamps may differ.
     """
-    shelf, found, files = Shelf(IN_MEMORY), list[Finding](), dict[str, str]()
-    held = [hold(flight, shelf) for flight in flights]
+    held, found, files = [hold(flight) for flight in flights], list[Finding](), dict[str, str]()
     runs, earliest, owners = _shared(held, LOOKED_AT)
     if (earliest < owners).any():  # then all runs are looked at
         runs, earliest, owners = _shared(held, 0)
@@ -364,17 +362,14 @@ class Taught:
     notes: tuple[str, ...] = ()
 
 
-def taught(
-    logs: Iterable[Log | HeldLog], window_s: float, gate: GateSpec | None, *, robust: bool, shelf: Shelf | None = None
-) -> Taught:
+def taught(logs: Iterable[Log | HeldLog], window_s: float, gate: GateSpec | None, *, robust: bool) -> Taught:
     """The flying parts of healthy flights, guarded, put aside as the logs are, with only those samples that they
     themselves, taken together, make believable, as in judging.
 
     Raises InputError with file, place and remedy for what a guard refuses; with `robust` it is left out instead, and
     InputError says so only if nothing remains.
     """
-    shelf, left_out = shelf or Shelf(IN_MEMORY), list[str]()
-    held = [hold(log, shelf) for log in logs]
+    held, left_out = [hold(log) for log in logs], list[str]()
     while robust and len(held) > 2 and (odd := odd_rate(held, window_s)) is not None:
         left_out.append(odd[1])
         del held[odd[0]]
@@ -384,7 +379,7 @@ def taught(
         flights = []
         for log in logs:
             try:
-                flights.append(airborne(front, log, shelf, outputs))
+                flights.append(airborne(front, log, outputs))
             except InputError as error:
                 if not robust:
                     raise
@@ -392,13 +387,13 @@ def taught(
         give_back()
         return flights
 
-    flights = flown(_without(held, repeated(held), shelf, robust, left_out))
+    flights = flown(_without(held, repeated(held), robust, left_out))
     for guard in (upsets, turned, far_blocks):
         for _ in range(MAX_ROUNDS):  # the guard looks again at what remains
             findings = guard(flights)
             if not findings:
                 break
-            kept = _without([flight.held for flight in flights], findings, shelf, robust, left_out)
+            kept = _without([flight.held for flight in flights], findings, robust, left_out)
             same = {id(flight.held): [flight] for flight in flights}
             flights = [one for log in kept for one in same.get(id(log)) or flown([log])]
     if not flights:
@@ -406,7 +401,7 @@ def taught(
     front = replace(front, align=replace(front.align, quality=_quality_of(flights)))
     for i, flight in enumerate(flights):  # made anew only where that makes a difference
         if not adds_nothing(front.align.quality, flight.held.pieces()):
-            flights[i] = airborne(front, flight.held, shelf, outputs)
+            flights[i] = airborne(front, flight.held, outputs)
     give_back()
     return Taught(front, tuple(flights), tuple(left_out))
 
@@ -437,9 +432,7 @@ def one_vehicle(found: Taught, layout: RotorLayout | None, *, robust: bool) -> T
     return replace(found, flights=flights, left_out=(*found.left_out, *map(str, odd.values())), notes=notes)
 
 
-def _without(
-    logs: Sequence[HeldLog], findings: Sequence[Finding], shelf: Shelf, robust: bool, left_out: list[str]
-) -> list[HeldLog]:
+def _without(logs: Sequence[HeldLog], findings: Sequence[Finding], robust: bool, left_out: list[str]) -> list[HeldLog]:
     """The logs without what the findings name, of which `left_out` takes a sentence each; refused unless `robust`."""
     if not robust:
         refuse(findings, LEAVE_OUT)
@@ -449,7 +442,7 @@ def _without(
         places = [(finding.from_s, finding.to_s) for finding in findings if finding.number == number]
         if (None, None) not in places:
             for place in places:
-                log = log.without(*place, shelf)
+                log = log.without(*place)
             kept.append(log)
     return kept
 
