@@ -345,7 +345,6 @@ def _led(it: Diagnosis, fresh: Sequence[Reading]) -> Diagnosis:
 
 
 def _shown_by(it: Diagnosis, best: Reading | None) -> Diagnosis:
-    """With the evidence of a reading, or without any."""
     if best is None:
         return replace(it, monitor=None, axis=None, unit="", statistic=NAN, threshold=NAN)
     (name, axis), unit, threshold = best.slot.key, best.slot.monitor.unit, best.slot.threshold

@@ -87,7 +87,6 @@ def hold(log: Log | HeldLog, shelf: Shelf | None = None) -> HeldLog:
 
 
 def _put_aside(pieces: Iterable[Telemetry], shelf: Shelf) -> tuple[Callable[[], Telemetry], ...]:
-    """What gives each of these pieces again."""
     parts = []
     for piece in pieces:
         get = shelf.put([array for one in piece for array in (one.t_ns, one.values)])

@@ -49,6 +49,7 @@ from mavdiag.monitors.fitting import judged_together
 from mavdiag.monitors.rotor_trim import RotorTrim
 from mavdiag.monitors.run_length import MarginRule, RunLength
 from mavdiag.printable import counted
+from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.storage import Shelf, give_back, keep_freed
 from mavdiag.telemetry import Axis, FloatArray, Log, Series, Signal, Telemetry, unix_ns
@@ -257,7 +258,6 @@ def _fit_all(
 
 
 def _scores(monitors: Sequence[Monitor[Any]], flight: Sequence[Rows], number: int) -> list[Scores]:
-    """What each of several monitors reached in the flight of that number."""
     found: list[list[tuple[FloatArray, float]]] = [[] for _ in monitors]
     for statistics in judged_together(monitors, flight):
         for parts, one in zip(found, statistics, strict=True):
@@ -415,12 +415,11 @@ def _moved(baseline: Baseline, entry: MonitorEntry, flights: Flights) -> tuple[A
 
 def _joined(one: Sequence[Covered], other: Sequence[Covered]) -> tuple[Covered, ...]:
     """What both covered together; a condition that one does not carry restricts as the other says."""
-    spans = {covered.condition: covered for covered in one}
-    for covered in other:
-        known = spans.get(covered.condition, covered)
-        low, high = min(known.low, covered.low), max(known.high, covered.high)
-        spans[covered.condition] = Covered(covered.condition, low, high)
-    return tuple(spans.values())
+    spans = dict[Condition, tuple[float, float]]()
+    for own in (*one, *other):
+        low, high = spans.get(own.condition, (own.low, own.high))
+        spans[own.condition] = min(low, own.low), max(high, own.high)
+    return tuple(Covered(condition, *span) for condition, span in spans.items())
 
 
 def warm() -> None:

@@ -407,7 +407,6 @@ def taught(logs: Iterable[Log | HeldLog], window_s: float, gate: GateSpec | None
 
 
 def _quality_of(flights: Sequence[LearntFlight]) -> LinkQuality:
-    """Which samples of the link the flights make believable."""
     flown = []
     for flight in flights:
         ends = [list(spans) for _, spans in groupby(_seen(flight, _spans), key=lambda span: int(span[0]))]
