@@ -139,10 +139,7 @@ class DecisionSpec:
     def end_segment(
         self, state: DecisionState, looked: Looked, ended: Sequence[Alarm], t_ns: int, *, flies: bool = False
     ) -> Step:
-        """The flight or its segment ended at that time. looked: what was left; ended: the alarms that were open.
-
-        flies: it may still fly, so that a fault and its episode stay.
-        """
+        """The flight or its segment ended, with these alarms open. flies: it may still fly, so that a fault stays."""
         state, events, changes = self.step(state, looked)
         if flies and state.diagnosis.stage is Stage.FAULT:
             events = (*events, *self.named(state, ended))
@@ -331,10 +328,7 @@ def _height_now(state: DecisionState, fresh: Sequence[Reading], t_ns: int) -> tu
 
 
 def _led(it: Diagnosis, fresh: Sequence[Reading]) -> Diagnosis:
-    """With the present evidence of the highest ratio; a fault keeps the latest that was above.
-
-    A trim that shows another rotor than the named one is no evidence of it, unless there was none.
-    """
+    """With the present evidence of the highest ratio; a fault keeps the latest that was above and speaks of it."""
     if it.stage in (Stage.FAULT, Stage.INSPECT):
         over = [one for one in fresh if it.seen and one.ratio > 1.0 and one.slot.decides]
         fresh = [one for one in over if _speaks(one, it)] or (over if it.monitor is None else [])

@@ -181,10 +181,7 @@ def learn(flights: Iterable[Log], options: LearnOptions, *, created: str) -> Bas
 
 
 def _assessed(baseline: Baseline, flights: Sequence[LearntFlight]) -> Baseline:
-    """The baseline with what these flights add to what is said of its worth, and without monitors that cannot alarm.
-
-    Raises IdentificationError if none is left.
-    """
+    """The baseline with its worth by these flights, without mute monitors; IdentificationError if none is left."""
     give_back()
     found = courses([entry.spec for entry in baseline.monitors], flights)
     limits = {entry.spec.kind: entry.threshold.value for entry in baseline.monitors}
@@ -384,10 +381,7 @@ def _check(baseline: Baseline, flights: Sequence[HeldLog]) -> None:
 
 
 def _sessions(baseline: Baseline, flights: Sequence[Log]) -> list[int]:
-    """The session of each new flight: that of the nearest flight of the baseline that it is chained to, else its own.
-
-    Flights are chained by the wall clock, old and new together, as `learn` does.
-    """
+    """The session of each new flight: of the nearest old one that the wall clock chains it to, else its own."""
     logs, sessions, own = baseline.provenance.logs, list[int](), dict[int, int]()
     chains, first = sessions_of([*logs, *flights]), max(one.session for one in logs) + 1
     for flight, chain in zip(flights, chains[len(logs) :], strict=True):
@@ -398,10 +392,7 @@ def _sessions(baseline: Baseline, flights: Sequence[Log]) -> list[int]:
 
 
 def _moved(baseline: Baseline, entry: MonitorEntry, flights: Flights) -> tuple[Any, float, list[Scores]]:
-    """The fit for new propellers, the factor of the old scores, and the new flights' scores.
-
-    The healthy level is that of the new flights. Each is scored by a fit to the others, or to its other pieces.
-    """
+    """The fit for new propellers, the factor of the old scores, and the new flights' scores by fits to the others."""
     airframe, monitor, fresh = baseline.airframe, monitor_of(entry.spec), list[Scores]()
     context = LearnContext(airframe, airframe.imu_corner_hz, baseline.link.dt_s, baseline.window.samples)
     spec, ratio = monitor.renewed(flights, context)

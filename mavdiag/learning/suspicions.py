@@ -97,10 +97,7 @@ class Course:
 
 
 def courses(specs: Sequence[Any], flights: Sequence[LearntFlight]) -> tuple[Course, ...]:
-    """The courses of the steady monitors, of those of the trim, and of the accelerometer, in each flight.
-
-    specs: fits to all the flights.
-    """
+    """The courses of the steady monitors, the trim's and the accelerometer in each flight. specs: fits to them all."""
     used, found = [spec for spec in specs if spec.kind in (*STEADY, *TRIMS)], list[Course]()
     for number, (flight, bins) in enumerate(zip(flights, bins_of([one.rows for one in flights]), strict=True)):
         ends_s = np.concatenate([np.empty(0), *(one.end_ns / NS_PER_S for one in bins)])

@@ -72,7 +72,6 @@ class Finding:
     number, log: of the flight among those given, from 0, for two may have one name; and its name.
     text: what was seen, with figures, without the name.
     from_s, to_s: the part to leave out [s of the vehicle's clock]; None for the start or the end of the log.
-    refuses: it must not be learnt; else it is only noted.
     """
 
     number: int
@@ -80,7 +79,6 @@ class Finding:
     text: str
     from_s: float | None = None
     to_s: float | None = None
-    refuses: bool = True
 
     @property
     def place(self) -> str:
@@ -133,10 +131,7 @@ def repeated(flights: Iterable[Log | HeldLog]) -> tuple[Finding, ...]:
 
 
 def _shared(flights: Sequence[HeldLog], most: int) -> tuple[list[tuple[IntArray, IntArray]], IntArray, IntArray]:
-    """Of each flight its runs; of all of them the first flight that holds it, and its own.
-
-    most: about how many are looked at, the same ones of all flights by their hashes; 0 for all.
-    """
+    """Of each flight its runs; of all of them the first flight that holds it, and its own. most: runs, 0 for all."""
     pieces = (one for flight in flights for piece in flight.pieces() for one in piece)
     values = sum(len(series) for series in pieces if series.signal is Signal.BODY_RATE)
     every = max(1, values // most) if most else 1
@@ -308,14 +303,14 @@ def _typical(squares: FloatArray, dt_s: float) -> float:
     return math.sqrt(float(np.median(known))) if len(known) else math.nan
 
 
-def trim_groups(flights: Sequence[LearntFlight], layout: RotorLayout | None) -> tuple[Finding, ...]:
-    """Flights whose mean trims fall into two groups: two airframes, or two sets of propellers.
+def trim_groups(flights: Sequence[LearntFlight], layout: RotorLayout | None) -> tuple[list[Finding], bool]:
+    """Flights whose mean trims fall into two groups (two airframes, or sets of propellers), and if they are refused.
 
     The groups are apart if the distance of their means is at least 6 times the spread within them and 0.03 of the hover
     command, roll and pitch counting a third. With 0.005 it is noted, and so it is if a group has one flight alone.
     """
     if layout is None:
-        return ()
+        return [], False
     known, means = list[int](), list[FloatArray]()
     for number, flight in enumerate(flights):
         shown = [trim[where] for trim, where in (shown_trim(rows.block, layout) for rows in flight.rows)]
@@ -323,12 +318,12 @@ def trim_groups(flights: Sequence[LearntFlight], layout: RotorLayout | None) -> 
             known.append(number)
             means.append(np.concatenate(shown).mean(axis=0))
     if len(known) < 3:
-        return ()
+        return [], False
     weight = np.array([1.0 / LEVEL_RATIO, 1.0 / LEVEL_RATIO, 1.0])
     trims = np.array(means) * weight
     distance, spread, odd = max((_split(trims, axis) for axis in range(3)), key=lambda split: split[0] / split[1])
     if distance < max(NOTED_DISTANCE, GROUP_RATIO * spread):
-        return ()
+        return [], False
     refuses = distance >= GROUP_DISTANCE and 2 <= len(odd) <= len(known) - 2
     names = [flights[known[i]].label.name for i in odd]
     groups = trims[odd].mean(axis=0) / weight, np.delete(trims, odd, axis=0).mean(axis=0) / weight
@@ -337,8 +332,8 @@ def trim_groups(flights: Sequence[LearntFlight], layout: RotorLayout | None) -> 
         f"the mean trims of the flights fall into two groups: roll, pitch, yaw {one} in {', '.join(names)} and {rest} "
         "in the others: two airframes, sets of propellers or sessions"
     )
-    found = [Finding(known[i], name, text, refuses=refuses) for i, name in zip(odd, names, strict=True)]
-    return tuple(found if refuses else found[:1])
+    found = [Finding(known[i], name, text) for i, name in zip(odd, names, strict=True)]
+    return (found, True) if refuses else (found[:1], False)
 
 
 def _split(trims: FloatArray, axis: int) -> tuple[float, float, list[int]]:
@@ -422,13 +417,15 @@ def _quality_of(flights: Sequence[LearntFlight]) -> LinkQuality:
 
 def one_vehicle(found: Taught, layout: RotorLayout | None, *, robust: bool) -> Taught:
     """The flights of one vehicle and set of propellers, by their trims; raises InputError as `taught` does."""
-    findings = trim_groups(found.flights, layout)
-    odd = {finding.number: finding for finding in findings if finding.refuses}
+    findings, refused = trim_groups(found.flights, layout)
+    told = tuple(map(str, findings))
+    if not refused:
+        return replace(found, notes=told)
     if not robust:
-        refuse(list(odd.values()), f"{LEAVE_OUT}; or learn a type with --fleet")
+        refuse(findings, f"{LEAVE_OUT}; or learn a type with --fleet")
+    odd = [finding.number for finding in findings]
     flights = tuple(flight for number, flight in enumerate(found.flights) if number not in odd)
-    notes = (*found.notes, *(str(finding) for finding in findings if not finding.refuses))
-    return replace(found, flights=flights, left_out=(*found.left_out, *map(str, odd.values())), notes=notes)
+    return replace(found, flights=flights, left_out=(*found.left_out, *told))
 
 
 def _without(logs: Sequence[HeldLog], findings: Sequence[Finding], robust: bool, left_out: list[str]) -> list[HeldLog]:

@@ -6,7 +6,6 @@ there are as many, and each piece is scored by a fit to the rest. This is the on
 
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, TypeAlias, TypeVar, overload
 
 import numpy as np
@@ -127,21 +126,20 @@ def _pieces(flight: Sequence[Rows]) -> Iterator[tuple[Flights, Flights]]:
     hops = list(dict.fromkeys(segment for segment, _, valid, _ in looks if valid.any()))
     edges = judged_ns[np.linspace(0, len(judged_ns) - 1, count + 1).round().astype(np.int64)].tolist()
     edges[-1] += 1
+
+    def cut(number: int, first: int, stop: int, segment: int, from_ns: int | None = None) -> Callable[[], Rows]:
+        return lambda: flight[number].part(first, stop, segment, from_ns)
+
     for low_ns, high_ns, hop in zip(edges[:-1], edges[1:], hops if len(hops) == count else [None] * count, strict=True):
         part, rest = list[Callable[[], Rows]](), list[Callable[[], Rows]]()
         for number, (segment, t_ns, _, _) in enumerate(looks):
             if hop is not None:  # each is a piece
-                (part if segment == hop else rest).append(partial(_cut, flight, number, 0, len(t_ns), segment))
+                (part if segment == hop else rest).append(cut(number, 0, len(t_ns), segment))
                 continue
             first, stop = np.searchsorted(t_ns, [low_ns, high_ns]).tolist()
             places = ((rest, 0, first), (part, first, stop), (rest, stop, len(t_ns)))
             for third, (found, start, end) in enumerate(places):
                 if end > start:
                     from_ns = (None, low_ns, high_ns)[third]
-                    found.append(partial(_cut, flight, number, start, end, 3 * segment + third, from_ns))
+                    found.append(cut(number, start, end, 3 * segment + third, from_ns))
         yield [Looks(part, remembers=False)], [Looks(rest, remembers=False)]
-
-
-def _cut(flight: Sequence[Rows], number: int, first: int, stop: int, segment: int, from_ns: int | None = None) -> Rows:
-    """Rows [first, stop) of rows with a number, as a segment that begins at a time [ns]."""
-    return flight[number].part(first, stop, segment, from_ns)
