@@ -186,17 +186,14 @@ class Shelf:
             self._left -= size
             kept = tuple(one.copy("K") for one in arrays)  # of a longer array no more than this
             return lambda: kept
-        self._left = 0
+        self._left, places = 0, []
         with enough_room(size):
-            return self._written(arrays)
-
-    def _written(self, arrays: Sequence[NDArray[Any]]) -> Callable[[], Arrays]:
-        file = self._file = self._file or tempfile.TemporaryFile(buffering=0)  # noqa: SIM115  # as long as the shelf is
-        places = []
-        for array in arrays:
-            places.append(partial(np.memmap, file, array.dtype, "c", self._end, array.shape, "F"))
-            self._end += _write(file, array.T)
-            forget(array)
+            file = self._file = self._file or tempfile.TemporaryFile(buffering=0)  # noqa: SIM115  # as long as this is
+            for array in arrays:
+                places.append(partial(np.memmap, file, array.dtype, "c", self._end, array.shape, "F"))
+                _write(file, array.T)
+                self._end += array.nbytes
+                forget(array)
         return lambda: tuple(mapped().view(np.ndarray) for mapped in places)
 
 
@@ -286,9 +283,8 @@ def enough_room(size: int) -> Iterator[None]:
         raise UsageError(f"{tempfile.gettempdir()}: {room}; set TMPDIR to a folder with more") from error
 
 
-def _write(file: IO[bytes], rows: NDArray[Any]) -> int:
-    """Write an array piece by piece, of which the system may take less; returns how many bytes these are."""
+def _write(file: IO[bytes], rows: NDArray[Any]) -> None:
+    """Write an array piece by piece, of which the system may take less."""
     left = memoryview(np.ascontiguousarray(rows).reshape(-1).view(np.uint8).data)
     while len(left):
         left = left[file.write(left[:WRITE_BYTES]) :]
-    return rows.nbytes
