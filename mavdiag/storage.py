@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
-from typing import IO, Any, BinaryIO, Self, TypeAlias
+from typing import Any, BinaryIO, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -211,7 +211,7 @@ class Column:
         """Put rows behind those that came. Raises UsageError if the disk is full."""
         self._count += len(rows)
         with enough_room(rows.nbytes):
-            _write(self._file, rows)
+            self._file.write(rows.tobytes())
 
     def whole(self) -> NDArray[Any]:
         """All rows, read-only if they lie in a file."""
@@ -283,7 +283,7 @@ def enough_room(size: int) -> Iterator[None]:
         raise UsageError(f"{tempfile.gettempdir()}: {room}; set TMPDIR to a folder with more") from error
 
 
-def _write(file: IO[bytes], rows: NDArray[Any]) -> None:
+def _write(file: BinaryIO, rows: NDArray[Any]) -> None:
     """Write an array piece by piece, of which the system may take less."""
     left = memoryview(np.ascontiguousarray(rows).reshape(-1).view(np.uint8).data)
     while len(left):
