@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from dataclasses import is_dataclass
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 from pydantic import (
     AfterValidator,
@@ -203,6 +203,17 @@ class Baseline(Part, Tabular):
     weak: str = ""  # what its own flights say against it, such as a propeller that broke in one of them
     digest: str = ""  # over all the rest
 
+    if not TYPE_CHECKING:
+
+        def __init__(self, **given: Any) -> None:
+            """Raises BaselineError, naming the first field that does not fit."""
+            try:
+                super().__init__(**given)
+            except ValidationError as error:
+                first = error.errors(include_url=False, include_context=False, include_input=False)[0]
+                where = ".".join(str(step) for step in first["loc"]) or "baseline"
+                raise BaselineError(f"{where}: {first['msg'].removeprefix('Value error, ')}; {REMEDY}") from error
+
     @model_validator(mode="after")
     def _fits(self) -> "Baseline":
         known = self.airframe.layout
@@ -367,13 +378,9 @@ def dump(baseline: Baseline) -> str:
 def parse(text: str) -> Baseline:
     """A baseline from its JSON text. Raises BaselineError, naming the field that does not fit."""
     try:
-        baseline = Baseline.model_validate(json.loads(text))
-    except ValidationError as error:
-        first = error.errors(include_url=False, include_context=False, include_input=False)[0]
-        where = ".".join(str(step) for step in first["loc"]) or "baseline"
-        raise BaselineError(f"{where}: {first['msg'].removeprefix('Value error, ')}; {REMEDY}") from error
-    except (ValueError, RecursionError) as error:
-        raise BaselineError(f"not a baseline: the text is no JSON ({error}); {REMEDY}") from error
+        baseline = Baseline(**dict(json.loads(text)))
+    except (TypeError, ValueError, RecursionError) as error:
+        raise BaselineError(f"not a baseline: the text is no JSON object ({error}); {REMEDY}") from error
     if baseline.digest != _digest(baseline):
         raise BaselineError("digest: the file was changed after it was made; make it anew with `mavdiag identify`")
     return baseline

@@ -14,7 +14,7 @@ from mavdiag.airframe.load import airframe_from, with_layout
 from mavdiag.archive.paths import logs_named
 from mavdiag.archive.scan import Options, Question
 from mavdiag.archive.scan import scan as archive
-from mavdiag.baseline import Baseline
+from mavdiag.baseline import Baseline, check_link
 from mavdiag.chain import ChainOutput, chain_of
 from mavdiag.decision.diagnosis import Change, Diagnosis, Event
 from mavdiag.errors import BaselineError, InputError, UsageError
@@ -120,10 +120,15 @@ def rates(flight: Source, axis: Axis | str, window_s: float = 0.1) -> FlightRate
 
 
 class Watch:
-    """A live flight judged by a baseline: the same chain as in the detector. profile: of the link, if it is known."""
+    """A live flight judged by a baseline: the same chain as in the detector.
+
+    profile: of the link, if it is known. Raises BaselineError if the baseline is for another one.
+    """
 
     def __init__(self, baseline: Baseline | str | Path, profile: str | None = None) -> None:
-        self._chain = chain_of(_loaded(baseline), time.time_ns(), profile)
+        known = _loaded(baseline)
+        check_link(known, profile=profile or known.link.profile, dt_s=known.link.dt_s)
+        self._chain = chain_of(known, time.time_ns(), profile)
         self._state = self._chain.start()
         #: Everything that the last step brought, with the latest value of each monitor.
         self.output = ChainOutput()

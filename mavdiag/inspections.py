@@ -89,7 +89,7 @@ def ask(journal: Path, vehicle: int | None, whose: str) -> tuple[Inspection, boo
 class Inspections:
     """Those of one detector, beside its journal (None keeps none), written by `flush`.
 
-    warn: called once when writing, or taking up an acknowledgement, begins to fail, and once when writing works again.
+    warn: called once when writing begins to fail and when it works again, and once for each acknowledgement's trouble.
     Raises InputError if the file is damaged.
     """
 
@@ -98,7 +98,7 @@ class Inspections:
         self._open = {} if journal is None else read_open(journal)
         self._due = self._failing = False  # whether they are to be written; whether that failed the last time, and
         self._again = Instant(0)  # when it is tried again
-        self._troubles = dict[int, str]()  # why an acknowledgement cannot be taken up, by vehicle
+        self._troubles = set[str]()  # why an acknowledgement could not be taken up
 
     def held(self, vehicle: int, propellers: int | None) -> Diagnosis:
         """What is known of a vehicle from before. propellers: number of its present set, if it is known."""
@@ -142,17 +142,16 @@ class Inspections:
             return []
         found = []
         for vehicle in list(self._open):
-            path, trouble = _beside(self._journal, f"ack-{vehicle}"), ""
+            path = _beside(self._journal, f"ack-{vehicle}")
             try:
                 if path.exists():
                     whose = read_text(path, WHOSE_BYTES * 4 + 1).strip() or "somebody"
                     path.unlink(missing_ok=True)  # one that stayed would close the next inspection, too
                     found.append((vehicle, whose))
             except (InputError, OSError) as error:
-                trouble = f"{path}: cannot be taken up ({error})"
-            if trouble and trouble != self._troubles.get(vehicle):
-                self._warn(trouble)
-            self._troubles[vehicle] = trouble
+                if (trouble := f"{path}: cannot be taken up ({error})") not in self._troubles:
+                    self._warn(trouble)
+                    self._troubles.add(trouble)
         return found
 
     def flush(self, now: Instant | None = None) -> None:

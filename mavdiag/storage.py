@@ -15,6 +15,7 @@ import time
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO, Self, TypeAlias
 
@@ -29,14 +30,12 @@ TOML_BYTES = 32 << 10  # the longest of ours has 7 kB; tomllib takes seconds for
 TEXT_BYTES = 8 << 20  # baselines have some hundred kilobytes (our choice)
 SHELF_BYTES = 8 << 20  # of arrays that a shelf keeps in memory before it opens its file (our choice)
 COLUMN_BYTES = 8 << 20  # of a column that comes piece by piece, until it goes into a file (our choice)
-COLUMN_ROWS = 512  # that it has room for at first: what a live link brings in two seconds (our choice)
 COLLECT_AT = 20_000  # containers more than before; a tick of a full link makes some thousands (our choice; Python: 700)
 KEPT = 8  # our choice: fewer are given back and faulted in again for each flight, and the most memory is the same
 MMAP_THRESHOLD, TRIM_THRESHOLD = -3, -1  # options of mallopt(3)
 MADV_COLLAPSE = 25  # of madvise(2), since Linux 6.1
 HUGE_BYTES = 2 << 20  # the largest huge page: a larger one stays empty for the most part (our choice)
 HUGE_S = 0.01  # in which memory is moved at a time, for nothing else is done meanwhile (our choice)
-ALIGN_BYTES = 8  # of an array in a file: that of its numbers
 ROOM_BYTES = 50_000_000  # of a disk that recordings leave to journals and open inspections (our choice)
 KIND_BYTES = 64  # of a file, which tell its kind (our choice)
 WRITE_BYTES = 1 << 20  # that are written at a time: many together take three times as long (our choice)
@@ -112,8 +111,11 @@ def leave_room(file: BinaryIO) -> None:
 
 def check_apart(path: Path, *others: Path | None) -> None:
     """Raise UsageError if a file to write is one of the others of the command, by whatever name. None is no file."""
-    for other in others:
-        if other is not None and _same(path, other):
+    for other in filter(None, others):
+        same = False
+        with suppress(OSError):  # of one that is absent
+            same = path.resolve() == other.resolve() or path.samefile(other)
+        if same:
             raise UsageError(f"{path}: is named twice in this command, and would be lost; name another file to write")
 
 
@@ -123,12 +125,6 @@ def begins(path: Path, pattern: bytes) -> bool:
         return True
     with open_regular(path, 1 << 63) as file:
         return re.match(pattern, file.read(KIND_BYTES), re.DOTALL) is not None
-
-
-def _same(path: Path, other: Path) -> bool:
-    with suppress(OSError):  # of one that is absent
-        return path.resolve() == other.resolve() or path.samefile(other)
-    return False
 
 
 def write_atomically(path: Path, content: str | bytes, *, durable: bool = True) -> None:
@@ -183,40 +179,22 @@ class Shelf:
     def put(self, arrays: Sequence[NDArray[Any]]) -> Callable[[], Arrays]:
         """Keep these arrays. What is returned gives them as often as it is called while the shelf is open.
 
-        What is written to those that come from the file, this call alone has. An array whose rows are all alike takes
-        the place of one. Raises UsageError if the disk is full.
+        What is written to those that come from the file, this call alone has. Raises UsageError if the disk is full.
         """
         size = sum(one.nbytes for one in arrays)
         if size <= self._left:
             self._left -= size
             kept = tuple(one.copy("K") for one in arrays)  # of a longer array no more than this
             return lambda: kept
-        self._left = 0
+        self._left, places = 0, []
         with enough_room(size):
-            return self._written(arrays)
-
-    def _written(self, arrays: Sequence[NDArray[Any]]) -> Callable[[], Arrays]:
-        file = self._file = self._file or tempfile.TemporaryFile(buffering=0)  # noqa: SIM115  # as long as the shelf is
-        places, known = list[tuple[Any, ...]](), dict[tuple[Any, ...], int]()
-        for number, array in enumerate(arrays):
-            same = known.setdefault((array.ctypes.data, array.dtype, array.shape, array.strides), number)
-            if same != number:  # of one memory, as the times of signals that come together
-                places.append(places[same])
-                continue
-            rows = array if _varies(array) else array[:1]
-            strides = np.empty(rows.shape, rows.dtype, order="F").strides
-            places.append((self._end, array.dtype, array.shape, strides if rows is array else (0, *strides[1:])))
-            columns = _bytes_of(rows.T)
-            self._end += _write(file, columns) + _write(file, memoryview(bytes(-len(columns) % ALIGN_BYTES)))
-            forget(array)
-
-        end, begin = self._end, places[0][0] // mmap.ALLOCATIONGRANULARITY * mmap.ALLOCATIONGRANULARITY
-
-        def get() -> Arrays:
-            mapped = mmap.mmap(file.fileno(), end - begin, access=mmap.ACCESS_COPY, offset=begin)
-            return tuple(np.ndarray(shape, dtype, mapped, at - begin, strides) for at, dtype, shape, strides in places)
-
-        return get
+            file = self._file = self._file or tempfile.TemporaryFile(buffering=0)  # noqa: SIM115  # as long as this is
+            for array in arrays:
+                places.append(partial(np.memmap, file, array.dtype, "c", self._end, array.shape, "F"))
+                _write(file, array.T)
+                self._end += array.nbytes
+                forget(array)
+        return lambda: tuple(mapped().view(np.ndarray) for mapped in places)
 
 
 class Column:
@@ -226,33 +204,23 @@ class Column:
     """
 
     def __init__(self, like: NDArray[Any]) -> None:
-        self._rows, self._count = np.empty((COLUMN_ROWS, *like.shape[1:]), like.dtype), 0
-        self._file: BinaryIO | None = None
+        self._dtype, self._shape, self._count = like.dtype, like.shape[1:], 0
+        self._file = tempfile.SpooledTemporaryFile(COLUMN_BYTES)  # noqa: SIM115  # until it is mapped
 
     def add(self, rows: NDArray[Any]) -> None:
         """Put rows behind those that came. Raises UsageError if the disk is full."""
-        first, self._count = self._count, self._count + len(rows)
-        if self._file is None:
-            if self._count > len(self._rows):  # room for as much again
-                before, room = self._rows[:first], max(self._count, 2 * first)
-                self._rows = np.empty((room, *before.shape[1:]), before.dtype)
-                self._rows[:first] = before
-            self._rows[first : self._count] = rows
-            if self._rows[: self._count].nbytes < COLUMN_BYTES:
-                return
-            self._file, rows = tempfile.TemporaryFile(buffering=0), self._rows[: self._count]  # noqa: SIM115  # until it is mapped
-            self._rows = rows[:0].copy()
+        self._count += len(rows)
         with enough_room(rows.nbytes):
-            _write(self._file, _bytes_of(rows))
+            self._file.write(rows.tobytes())
 
     def whole(self) -> NDArray[Any]:
         """All rows, read-only if they lie in a file."""
-        if self._file is None:
-            self._rows.resize((self._count, *self._rows.shape[1:]), refcheck=False)
-            return self._rows
-        with self._file as file:
-            mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-        return np.ndarray((self._count, *self._rows.shape[1:]), self._rows.dtype, mapped)
+        shape = self._count, *self._shape
+        with self._file as file, enough_room(file.tell()):
+            if file.tell() > COLUMN_BYTES:
+                return np.memmap(file, self._dtype, "r", shape=shape).view(np.ndarray)
+            file.seek(0)
+            return np.ndarray(shape, self._dtype, bytearray(file.read()))
 
 
 def forget(*arrays: NDArray[Any]) -> None:
@@ -315,22 +283,8 @@ def enough_room(size: int) -> Iterator[None]:
         raise UsageError(f"{tempfile.gettempdir()}: {room}; set TMPDIR to a folder with more") from error
 
 
-def _bytes_of(rows: NDArray[Any]) -> memoryview:
-    return memoryview(np.ascontiguousarray(rows).reshape(-1).view(np.uint8).data)
-
-
-def _write(file: BinaryIO, data: memoryview) -> int:
-    """Write all of it piece by piece, of which the system may take less; returns how many bytes these are."""
-    left = data
+def _write(file: BinaryIO, rows: NDArray[Any]) -> None:
+    """Write an array piece by piece, of which the system may take less."""
+    left = memoryview(np.ascontiguousarray(rows).reshape(-1).view(np.uint8).data)
     while len(left):
         left = left[file.write(left[:WRITE_BYTES]) :]
-    return len(data)
-
-
-def _varies(array: NDArray[Any]) -> bool:
-    """Whether the rows differ; a few of them tell mostly."""
-    few = array[:: len(array) // 100 or 1]
-    return not all(
-        np.array_equal(rows, np.broadcast_to(rows[:1], rows.shape), equal_nan=rows.dtype.kind == "f")
-        for rows in (few, array)
-    )

@@ -1,5 +1,6 @@
 """Rows from plain arrays; context and thresholds as learning makes them, for tests that look at one monitor alone."""
 
+from collections import defaultdict
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -12,7 +13,7 @@ from mavdiag.rows.block import COVERED, OUTPUTS, RATE, VALID, WHOLE, Block, Part
 from mavdiag.rows.rates import RateSpec
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import Axis, BoolArray, FloatArray
-from mavdiag.thresholds.heldout import Scores, by_axis, folds, score
+from mavdiag.thresholds.heldout import Scores, folds, pooled, score
 from mavdiag.thresholds.rule import BUDGET_PER_HOUR, Threshold, threshold_of
 
 WINDOW = 5  # samples of the rate filters
@@ -62,13 +63,11 @@ def held_out_scores(
 ) -> dict[Axis | None, Scores]:
     """Scores of all flights by axis, each flight scored by a fit that did not see it. fit: the monitors of a fit."""
     numbers = {id(flight): number for number, flight in enumerate(flights)}
-    pairs = ((left_out, fit(rest)) for left_out, rest in folds(flights, sessions))
-    return by_axis(
-        (one.axis, score(one, flight, numbers.get(id(flight), 0)))
-        for left, found in pairs
-        for one in found
-        for flight in left
-    )
+    found = defaultdict[Axis | None, list[Scores]](list)
+    for left_out, rest in folds(flights, sessions):
+        for one in fit(rest):
+            found[one.axis] += [score(one, flight, numbers.get(id(flight), 0)) for flight in left_out]
+    return {axis: pooled(scores) for axis, scores in found.items()}
 
 
 def calibrated(

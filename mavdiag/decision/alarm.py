@@ -88,13 +88,10 @@ class Episode:
 @dataclass(frozen=True, slots=True, eq=False)
 class DecisionState:
     """What is held; since when all ratios are calm, one is raised or over, and one is over (None if not); the latest
-    episode of a fault.
-    """
+    episode of a fault."""
 
     diagnosis: Diagnosis = NOTHING_SEEN
-    calm_ns: int | None = None
-    raised_ns: int | None = None
-    over_ns: int | None = None
+    since_ns: tuple[int | None, int | None, int | None] = (None, None, None)
     episode: Episode | None = None
 
 
@@ -142,10 +139,7 @@ class DecisionSpec:
     def end_segment(
         self, state: DecisionState, looked: Looked, ended: Sequence[Alarm], t_ns: int, *, flies: bool = False
     ) -> Step:
-        """The flight or its segment ended at that time. looked: what was left; ended: the alarms that were open.
-
-        flies: it may still fly, so that a fault and its episode stay.
-        """
+        """The flight or its segment ended, with these alarms open. flies: it may still fly, so that a fault stays."""
         state, events, changes = self.step(state, looked)
         if flies and state.diagnosis.stage is Stage.FAULT:
             events = (*events, *self.named(state, ended))
@@ -160,8 +154,7 @@ class DecisionSpec:
         if state.diagnosis.stage is not Stage.INSPECT:
             return state, (), ()
         diagnosis = Diagnosis(reason="the inspection is acknowledged", since_ns=t_ns)
-        fresh = DecisionState(diagnosis, state.calm_ns, state.raised_ns, state.over_ns)
-        return fresh, (), (Change.of(diagnosis, t_ns),)
+        return DecisionState(diagnosis, state.since_ns), (), (Change.of(diagnosis, t_ns),)
 
     def named(self, state: DecisionState, alarms: Sequence[Alarm]) -> tuple[Event, ...]:
         """Alarms as events, with the rotor, type and severity known now if they belong to the latest episode."""
@@ -309,12 +302,9 @@ def _ended(spans: tuple[RotorSpan, ...], t_ns: int) -> tuple[RotorSpan, ...]:
 
 
 def _since(state: DecisionState, height: Height | int, t_ns: int) -> DecisionState:
-    now_ns = [t_ns if ns is None else ns for ns in (state.calm_ns, state.raised_ns, state.over_ns)]
-    calm = now_ns[0] if height == Height.CALM else None
-    raised, over = now_ns[1] if height >= Height.RAISED else None, now_ns[2] if height == Height.OVER else None
-    if (calm, raised, over) == (state.calm_ns, state.raised_ns, state.over_ns):
-        return state
-    return DecisionState(state.diagnosis, calm, raised, over, state.episode)
+    was, holds = state.since_ns, (height == Height.CALM, height >= Height.RAISED, height == Height.OVER)
+    calm, raised, over = ((t_ns if ns is None else ns) if now else None for ns, now in zip(was, holds, strict=True))
+    return state if (calm, raised, over) == was else replace(state, since_ns=(calm, raised, over))
 
 
 def _height_now(state: DecisionState, fresh: Sequence[Reading], t_ns: int) -> tuple[DecisionState, Height]:
@@ -322,25 +312,23 @@ def _height_now(state: DecisionState, fresh: Sequence[Reading], t_ns: int) -> tu
     heights = [height_of(reading.ratio, reading.slot) for reading in fresh]
     height = max(heights) if any(reading.slot.decides for reading in fresh) else Height.UNKNOWN
     state = _since(state, height, t_ns)
-    if state.calm_ns is not None and t_ns - state.calm_ns >= CLEAR_NS:
+    calm_ns, raised_ns, begun_ns = state.since_ns
+    if calm_ns is not None and t_ns - calm_ns >= CLEAR_NS:
         return state, Height.SETTLED
     over_ns = max((one.at_ns for one, own in zip(fresh, heights, strict=True) if own is Height.OVER), default=t_ns)
-    if state.over_ns is not None and min(t_ns, over_ns) - state.over_ns < DOUBT_NS and not state.diagnosis.seen:
+    if begun_ns is not None and min(t_ns, over_ns) - begun_ns < DOUBT_NS and not state.diagnosis.seen:
         kind = grown(None, fresh, 0)
         checked = any(one.slot.monitor.kind is FaultKind.SENSOR for one in fresh)  # without these nothing is waited for
         doubtful = checked and kind is FaultKind.PROPELLER and named(kind, fresh, False).rotor is None
         height = Height.RAISED if doubtful else height
-    if height is Height.RAISED and state.raised_ns is not None:
+    if height is Height.RAISED and raised_ns is not None:
         memory_s = max(r.slot.monitor.memory_s for r, own in zip(fresh, heights, strict=True) if own >= Height.RAISED)
-        height = Height.HELD if memory_s + (t_ns - state.raised_ns) / NS_PER_S < SUSPICION_S else height
+        height = Height.HELD if memory_s + (t_ns - raised_ns) / NS_PER_S < SUSPICION_S else height
     return state, height
 
 
 def _led(it: Diagnosis, fresh: Sequence[Reading]) -> Diagnosis:
-    """With the present evidence of the highest ratio; a fault keeps the latest that was above.
-
-    A trim that shows another rotor than the named one is no evidence of it, unless there was none.
-    """
+    """With the present evidence of the highest ratio; a fault keeps the latest that was above and speaks of it."""
     if it.stage in (Stage.FAULT, Stage.INSPECT):
         over = [one for one in fresh if it.seen and one.ratio > 1.0 and one.slot.decides]
         fresh = [one for one in over if _speaks(one, it)] or (over if it.monitor is None else [])
@@ -351,7 +339,6 @@ def _led(it: Diagnosis, fresh: Sequence[Reading]) -> Diagnosis:
 
 
 def _shown_by(it: Diagnosis, best: Reading | None) -> Diagnosis:
-    """With the evidence of a reading, or without any."""
     if best is None:
         return replace(it, monitor=None, axis=None, unit="", statistic=NAN, threshold=NAN)
     (name, axis), unit, threshold = best.slot.key, best.slot.monitor.unit, best.slot.threshold

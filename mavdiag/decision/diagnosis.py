@@ -69,7 +69,11 @@ class Diagnosis:
 
     def __str__(self) -> str:
         named = f", rotor {self.rotor}" if self.rotor is not None else ""
-        return f"{self.title}: {self.reason}{named}" + (f", {self.fault_type}" if self.fault_type is not None else "")
+        named += f", {self.fault_type}" if self.fault_type is not None else ""
+        if self.stage not in (Stage.FAULT, Stage.SUSPECTED) or self.monitor is None:
+            return f"{self.title}: {self.reason}{named}"
+        figures = f"{self.statistic:.3g} of {self.threshold:.3g} {self.unit}".rstrip()
+        return f"{self.title}: {self.reason}{named} ({self.monitor} {figures})"
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,9 +88,7 @@ class Change(Diagnosis):
         return cls(**{one.name: getattr(diagnosis, one.name) for one in fields(Diagnosis)}, t_ns=t_ns)
 
     def __str__(self) -> str:
-        where = "" if self.rotor is None else f", rotor {self.rotor}"
-        evidence = "" if self.monitor is None else f" ({self.monitor} {self.statistic:.3g} of {self.threshold:.3g})"
-        return f"{self.t_ns / NS_PER_S:.2f} s {self.title}: {self.reason}{evidence}{where}"
+        return f"{self.t_ns / NS_PER_S:.2f} s {Diagnosis.__str__(self)}"
 
 
 def above(value: float, threshold: float) -> str:

@@ -95,7 +95,6 @@ def isolate(readings: Sequence[Reading]) -> Isolation:
 
 
 def _sure(unit: float, evidence: Sequence[float]) -> float:
-    """Share of the likeliest rotor."""
     highest = max(evidence)
     return 1.0 / math.fsum(math.exp(unit * (x - highest)) for x in evidence)
 

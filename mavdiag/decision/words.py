@@ -70,14 +70,6 @@ def motors_words(finding: Diagnosis) -> str:
     return "rotor unknown" if finding.kind in (None, FaultKind.PROPELLER) else "all motors"
 
 
-def diagnosis_line(held: Diagnosis) -> str:
-    """What is held of a vehicle in one line, with its evidence."""
-    if held.stage not in (Stage.FAULT, Stage.SUSPECTED) or held.monitor is None:
-        return str(held)
-    unit = f" {held.unit}" if held.unit else ""
-    return f"{held} ({held.monitor} {held.statistic:.3g} of {held.threshold:.3g}{unit})"
-
-
 def inspect_words(rotor: int | None) -> str:
     """What to do after a suspicion that names a rotor; empty if it names none."""
     return "" if rotor is None else f"inspect motor {rotor} before the next flight"

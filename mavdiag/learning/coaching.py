@@ -14,7 +14,6 @@ import numpy as np
 from mavdiag.monitors.conditions import measure
 from mavdiag.rows.conditions import BIN_S, Condition
 from mavdiag.rows.front import Rows
-from mavdiag.telemetry import FloatArray, IntArray
 from mavdiag.thresholds.envelope import ORDER, RULES
 from mavdiag.units import NS_PER_S
 
@@ -49,11 +48,17 @@ class Coverage:
 
     def take(self, rows: Iterable[Rows]) -> bool:
         """Take in rows that follow each other, some seconds of them at a time; return whether that covers more."""
-        parts = list(measure(tuple(rows)))
+        parts = [part for part in measure(tuple(rows)) if len(part.end_ns)]
         if not parts:
             return False
         end_ns, values = (np.concatenate([getattr(part, name) for part in parts]) for name in ("end_ns", "values"))
-        counts = _seconds(end_ns, values)
+        starts = np.unique((end_ns - 1) // NS_PER_S, return_index=True)[1]
+        most = np.fmax.reduceat(values, starts, axis=0)
+        both = Condition.YAW_RATE, Condition.COMMANDED_RATE
+        turns, moves = (most[:, ORDER.index(one)] > RULES[one].least for one in both)
+        # of a second that two looks share, one has the most
+        known = np.diff(starts, append=len(end_ns)) * BIN_S > 0.5
+        counts = [int(np.count_nonzero(known & one)) for one in (~turns & ~moves, moves, turns)]
         for task, count in zip(Task, counts, strict=True):
             self.flown_s[task] += count
         return any(counts)
@@ -70,15 +75,3 @@ class Coverage:
 
     def __str__(self) -> str:
         return ", ".join(f"{task.title} {self.flown_s[task]} of {task.wanted_s} s" for task in Task)
-
-
-def _seconds(end_ns: IntArray, values: FloatArray) -> tuple[int, ...]:
-    """How many seconds count for each task. values: of bins that end at these times, as `Conditions` has them."""
-    if not len(end_ns):
-        return (0,) * len(Task)
-    starts = np.unique((end_ns - 1) // NS_PER_S, return_index=True)[1]
-    most = np.fmax.reduceat(values, starts, axis=0)
-    both = Condition.YAW_RATE, Condition.COMMANDED_RATE
-    turns, moves = (most[:, ORDER.index(one)] > RULES[one].least for one in both)
-    known = np.diff(starts, append=len(end_ns)) * BIN_S > 0.5  # of a second that two looks share, one has the most
-    return tuple(int(np.count_nonzero(known & one)) for one in (~turns & ~moves, moves, turns))

@@ -4,11 +4,9 @@ Signals and rows are put on a shelf, which is a file if they are many: a flight 
 for each look (guards, fits, scores), and of many flights one is in memory at a time.
 """
 
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 
@@ -41,7 +39,7 @@ KEPT_BYTES = 32 << 20  # holds the columns of 40 s at 1 kHz (our choice; the mos
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeldLog:
-    """A log whose signals are aside: the log without them, which they are, and what gives its pieces, in order.
+    """A log whose signals are on a shelf: the log without them, which they are, and what gives its pieces, in order.
 
     dt_s, grid: mean gyro period [s], and how rows are placed. setpoint_s: period of the set-points [s]; 0 without any.
     """
@@ -52,6 +50,7 @@ class HeldLog:
     setpoint_s: float
     signals: tuple[Signal, ...]
     parts: tuple[Callable[[], Telemetry], ...]
+    shelf: Shelf
 
     def pieces(self) -> Iterator[Telemetry]:
         """The signals, some thousand rows at a time. The vehicle's clock stands for the recorder's."""
@@ -62,18 +61,18 @@ class HeldLog:
         pieces = (Telemetry(tuple(one for one in piece if one.signal is signal)) for piece in self.pieces())
         return next(pieces) if len(self.parts) == 1 else joined(pieces)
 
-    def without(self, from_s: float | None, to_s: float | None, shelf: Shelf) -> "HeldLog":
+    def without(self, from_s: float | None, to_s: float | None) -> "HeldLog":
         """The log without what lies between two times [s of the vehicle's clock]; None for its start or its end."""
         low, high = -np.inf if from_s is None else from_s, np.inf if to_s is None else to_s
         kept = (
             Telemetry(tuple(series.where((series.t_s < low) | (series.t_s >= high)) for series in piece))
             for piece in self.pieces()
         )
-        return replace(self, parts=_put_aside(kept, shelf))
+        return replace(self, parts=_put_aside(kept, self.shelf))
 
 
-def hold(log: Log | HeldLog, shelf: Shelf) -> HeldLog:
-    """The log, its signals put aside. Raises InputError, naming it, if it lacks the gyro."""
+def hold(log: Log | HeldLog, shelf: Shelf | None = None) -> HeldLog:
+    """The log, its signals put aside, without a shelf in memory. Raises InputError, naming it, if it lacks the gyro."""
     if isinstance(log, HeldLog):
         return log
     try:
@@ -82,14 +81,12 @@ def hold(log: Log | HeldLog, shelf: Shelf) -> HeldLog:
         raise InputError(f"{log.name}: {error}; see `mavdiag look`") from error
     used = Telemetry(tuple(one for one in log.telemetry.series if one.signal in USED))
     setpoint_s = median_step([one.t_ns for one in used if one.signal is Signal.ATTITUDE_SETPOINT]) / NS_PER_S
+    shelf, label = shelf or Shelf(IN_MEMORY), replace(log, telemetry=Telemetry())
     parts = _put_aside(in_pieces(used, PIECE_ROWS), shelf)
-    return HeldLog(
-        replace(log, telemetry=Telemetry()), dt_s, grid, setpoint_s, tuple(one.signal for one in used), parts
-    )
+    return HeldLog(label, dt_s, grid, setpoint_s, tuple(one.signal for one in used), parts, shelf)
 
 
 def _put_aside(pieces: Iterable[Telemetry], shelf: Shelf) -> tuple[Callable[[], Telemetry], ...]:
-    """What gives each of these pieces again."""
     parts = []
     for piece in pieces:
         get = shelf.put([array for one in piece for array in (one.t_ns, one.values)])
@@ -123,46 +120,35 @@ class LearntFlight:
         return replace(self, rows=Looks(partial(_in_order, outputs, make) for make in self.rows.makers))
 
 
-def airborne(
-    front: Front,
-    flight: Log | HeldLog,
-    shelf: Shelf | None = None,
-    outputs: int | None = None,
-    glances: Mapping[str, Callable[[Rows], Iterable[Any]]] = MappingProxyType({}),
-) -> LearntFlight:
-    """The flying part of a flight, put aside, without a shelf in memory.
+def airborne(front: Front, flight: Log | HeldLog, outputs: int | None = None) -> LearntFlight:
+    """The flying part of a flight, put aside where its log is.
 
-    outputs: columns of outputs and of rotor speeds that are kept, None for all. glances: what is to be found in the
-    rows, by name, for `Looks.once`. Raises InputError, naming the flight, if there is hardly any.
+    outputs: columns of outputs and of rotor speeds that are kept, None for all. Raises InputError, naming the flight,
+    if there is hardly any.
     """
-    shelf = shelf or Shelf(IN_MEMORY)
-    answers: dict[Hashable, list[Any]] = {what: [] for what in glances}
-    held, makers, judged, flown = hold(flight, shelf), list[Callable[[], Rows]](), 0, 0
+    held, makers, judged, flown = hold(flight), list[Callable[[], Rows]](), 0, 0
     for rows in pieces_of(front, held.pieces()):
         judged, flown = judged + int(np.count_nonzero(rows.rates.valid)), flown + len(rows.block)
-        for what, glance in glances.items():
-            answers[what] += glance(rows)
         sent, speeds = rows.block.actuator.T[:outputs], rows.block.rotor_speed.T[:outputs]
         block = with_outputs(rows.block, sent, speeds, ROOM)
-        get = shelf.put([block.t_ns, block.whole.T, rows.rates_ns])
+        get = held.shelf.put([block.t_ns, block.whole.T, rows.rates_ns])
         makers.append(partial(_rows, block.segment, block.dt_s, block.outputs, get))
     judged_s = judged * front.align.dt_s
     if judged_s < MIN_FLIGHT_S:
         start = f" (without the first {front.gate.trim_start_s:g} s after a take-off or start)"
         why = start * (front.gate.trim_start_s > 0) if flown else " (never armed, or no thrust)"
         raise InputError(f"{held.label.name}: only {judged_s:.1f} s of airborne flight{why}, too short to learn from")
-    return LearntFlight(held, Looks(makers, answers=answers), judged_s)
+    return LearntFlight(held, Looks(makers), judged_s)
 
 
 def outputs_in_use(flights: Sequence[HeldLog]) -> int:
     """How many columns of outputs and rotor speeds the flights use: behind them all outputs are 0, no speed is told."""
     most = 0
-    for signal in (Signal.ACTUATOR, Signal.ROTOR_SPEED):
-        for series in (one for flight in flights for piece in flight.pieces() for one in piece):
-            if series.signal is signal:
-                told = np.isfinite(series.values) & (series.values != 0.0)
-                used = told if signal is Signal.ROTOR_SPEED else told | np.isnan(series.values)
-                most = max(most, *(np.flatnonzero(used.any(axis=0)) + 1).tolist(), 0)
+    for series in (one for flight in flights for piece in flight.pieces() for one in piece):
+        if series.signal in (Signal.ACTUATOR, Signal.ROTOR_SPEED):
+            used = np.isfinite(series.values) & (series.values != 0.0)
+            used |= np.isnan(series.values) & (series.signal is Signal.ACTUATOR)
+            most = max(most, *(np.flatnonzero(used.any(axis=0)) + 1).tolist(), 0)
     return most
 
 
@@ -191,8 +177,7 @@ def front_for(flights: Iterable[Log | HeldLog], window_s: float, gate: GateSpec 
 
     Raises InputError, naming the flight, if one lacks the gyro, or is of another link or rate.
     """
-    shelf = Shelf(IN_MEMORY)
-    held = [hold(flight, shelf) for flight in flights]
+    held = [hold(flight) for flight in flights]
     profiles = sorted({flight.label.profile for flight in held})
     if len(profiles) != 1:
         raise InputError(f"the flights come over different links ({', '.join(profiles)}); learn from one kind")

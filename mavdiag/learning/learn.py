@@ -9,6 +9,7 @@ the sensors feel of it: one short hover tells what these are now, and the old fl
 """
 
 import math
+from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
@@ -48,11 +49,12 @@ from mavdiag.monitors.fitting import judged_together
 from mavdiag.monitors.rotor_trim import RotorTrim
 from mavdiag.monitors.run_length import MarginRule, RunLength
 from mavdiag.printable import counted
+from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.storage import Shelf, give_back, keep_freed
-from mavdiag.telemetry import Axis, Log, Series, Signal, Telemetry, unix_ns
+from mavdiag.telemetry import Axis, FloatArray, Log, Series, Signal, Telemetry, unix_ns
 from mavdiag.thresholds.envelope import Covered
-from mavdiag.thresholds.heldout import Scores, by_axis, folds, maxima, pooled, score
+from mavdiag.thresholds.heldout import Scores, folds, maxima, pooled, score
 from mavdiag.thresholds.rule import (
     BUDGET_PER_HOUR,
     FLIGHTS_PER_SUSPICION,
@@ -133,11 +135,11 @@ def learn(flights: Iterable[Log], options: LearnOptions, *, created: str) -> Bas
         if not held:
             raise InputError("no healthy flight to learn from")
         first, link = held[0].label, PROFILES.get(held[0].label.profile)
-        airframe, told_hz = of_log_kind(options.airframe, first.profile), 0.0
-        if link is not None and airframe.imu_corner_hz is None:
-            told_hz = first.parameters.get(link.imu_corner_parameter, 0.0)
-        airframe = replace(airframe, imu_corner_hz=told_hz) if told_hz > 0.0 else airframe
-        found = taught(held, options.window_s, airframe.gate, robust=options.robust, shelf=shelf)
+        airframe = of_log_kind(options.airframe, first.profile)
+        told_hz = first.parameters.get(link.imu_corner_parameter, 0.0) if link is not None else 0.0
+        if airframe.imu_corner_hz is None and told_hz > 0.0:
+            airframe = replace(airframe, imu_corner_hz=told_hz)
+        found = taught(held, options.window_s, airframe.gate, robust=options.robust)
         airframe, ordered = with_rotors(airframe, found.flights)
         found = replace(found, flights=tuple(ordered))
         if airframe.scope != "type":
@@ -179,10 +181,7 @@ def learn(flights: Iterable[Log], options: LearnOptions, *, created: str) -> Bas
 
 
 def _assessed(baseline: Baseline, flights: Sequence[LearntFlight]) -> Baseline:
-    """The baseline with what these flights add to what is said of its worth, and without monitors that cannot alarm.
-
-    Raises IdentificationError if none is left.
-    """
+    """The baseline with its worth by these flights, without mute monitors; IdentificationError if none is left."""
     give_back()
     found = courses([entry.spec for entry in baseline.monitors], flights)
     limits = {entry.spec.kind: entry.threshold.value for entry in baseline.monitors}
@@ -223,45 +222,44 @@ def _fit_all(
         except (InputError, IdentificationError) as error:
             refused[kind] = str(error)
         give_back()
-    parts: dict[type[Monitor[Any]], list[tuple[Axis | None, Scores]]] = {kind: [] for kind in found}
+    parts = defaultdict[tuple[str, Axis | None], list[Scores]](list)
     numbers = {id(flight): number for number, flight in enumerate(flights)}  # pieces are of flight 0
     for fold, (left_out, _) in enumerate(pairs):
         monitors = [monitor for _, fits in found.values() for monitor in fits[fold]]
         for flight in left_out:
             for monitor, scores in zip(monitors, _scores(monitors, flight, numbers.get(id(flight), 0)), strict=True):
-                parts[type(monitor)].append((monitor.axis, scores))
+                parts[monitor.name, monitor.axis].append(scores)
     fitted, refusals = list[Fitted](), list[Refusal]()
     basis = context.airframe.layout_basis if context.airframe.layout is None else ""
     unknown = f" ({basis})" if basis else ""
     for kind in kinds:
-        monitors = list(map(kind, found[kind][0])) if kind in found else []
-        fits = found[kind][1] if kind in found else []
-        axes = [one.axis for one in monitors if all(one.axis in [other.axis for other in fit] for fit in fits)]
-        try:
-            scored = by_axis(parts[kind]) if kind in found else {}
-            reasons = [refused[kind] + unknown * ("layout" in refused[kind])] if kind in refused else []
-        except IdentificationError as error:
-            scored, reasons, monitors = {}, [str(error)], []
-        fitted += [(one, scored[one.axis]) for one in monitors if one.axis in scored and one.axis in axes]
-        short = "too little healthy flight to score it; fly longer"
-        reasons += [f"{one.axis}: {short}" for one in monitors if one.axis not in scored]
-        single = "without a part of the flights it cannot be modelled; fly more that moves this axis"
-        reasons += [f"{one.axis}: {single}" for one in monitors if one.axis in scored and one.axis not in axes]
-        if kind is RunLength and monitors:
+        specs, fits = found.get(kind, ((), ()))
+        scored = [(monitor, pooled(parts[kind.name, monitor.axis])) for monitor in map(kind, specs)]
+        reasons = [refused[kind] + unknown * ("layout" in refused[kind])] if kind in refused else []
+        if kind in found and not any(len(scores.maxima) for _, scores in scored):
+            scored, reasons = [], ["the healthy flights are too short to score the statistic on; fly longer"]
+        for monitor, scores in scored:
+            if not len(scores.maxima):
+                reasons.append(f"{monitor.axis}: too little healthy flight to score it; fly longer")
+            elif any(monitor.axis not in [one.axis for one in fit] for fit in fits):
+                why = "without a part of the flights it cannot be modelled; fly more that moves this axis"
+                reasons.append(f"{monitor.axis}: {why}")
+            else:
+                fitted.append((monitor, scores))
+        if kind is RunLength and scored:
             flat = "it cannot be modelled; fly a trajectory that moves this axis"
-            modelled = [monitor.axis for monitor in monitors]
+            modelled = [monitor.axis for monitor, _ in scored]
             reasons += [f"{axis}: {flat}" for axis in options.axes if axis not in modelled]
         refusals += [Refusal(monitor=kind.name, reason=reason) for reason in reasons]
     return fitted, refusals
 
 
 def _scores(monitors: Sequence[Monitor[Any]], flight: Sequence[Rows], number: int) -> list[Scores]:
-    """What each of several monitors reached in the flight of that number."""
-    found = [[(np.empty(0), 0.0)] for _ in monitors]
+    found: list[list[tuple[FloatArray, float]]] = [[] for _ in monitors]
     for statistics in judged_together(monitors, flight):
         for parts, one in zip(found, statistics, strict=True):
             parts.append((one.value[one.valid], one.period_s))
-    return [maxima(np.concatenate([values for values, _ in parts]), parts[-1][1], number) for parts in found]
+    return [maxima(parts, number) for parts in found]
 
 
 def _shares(
@@ -324,7 +322,7 @@ def extend(baseline: Baseline, flights: Iterable[Log], *, new_propellers: bool =
             raise InputError("no healthy flight to add; name one or more logs")
         _check(baseline, held)
         known = baseline.fingerprint
-        learnt = [airborne(front_of(suited(baseline, flight.label)), flight, shelf) for flight in held]
+        learnt = [airborne(front_of(suited(baseline, flight.label)), flight) for flight in held]
         modelled = [one.spec.axis.column for one in baseline.monitors if one.spec.kind == RunLength.name]
         refuse((*upsets(learnt), *turned(learnt, modelled)))
         if known is not None and not new_propellers:
@@ -383,10 +381,7 @@ def _check(baseline: Baseline, flights: Sequence[HeldLog]) -> None:
 
 
 def _sessions(baseline: Baseline, flights: Sequence[Log]) -> list[int]:
-    """The session of each new flight: that of the nearest flight of the baseline that it is chained to, else its own.
-
-    Flights are chained by the wall clock, old and new together, as `learn` does.
-    """
+    """The session of each new flight: of the nearest old one that the wall clock chains it to, else its own."""
     logs, sessions, own = baseline.provenance.logs, list[int](), dict[int, int]()
     chains, first = sessions_of([*logs, *flights]), max(one.session for one in logs) + 1
     for flight, chain in zip(flights, chains[len(logs) :], strict=True):
@@ -397,10 +392,7 @@ def _sessions(baseline: Baseline, flights: Sequence[Log]) -> list[int]:
 
 
 def _moved(baseline: Baseline, entry: MonitorEntry, flights: Flights) -> tuple[Any, float, list[Scores]]:
-    """The fit for new propellers, the factor of the old scores, and the new flights' scores.
-
-    The healthy level is that of the new flights. Each is scored by a fit to the others, or to its other pieces.
-    """
+    """The fit for new propellers, the factor of the old scores, and the new flights' scores by fits to the others."""
     airframe, monitor, fresh = baseline.airframe, monitor_of(entry.spec), list[Scores]()
     context = LearnContext(airframe, airframe.imu_corner_hz, baseline.link.dt_s, baseline.window.samples)
     spec, ratio = monitor.renewed(flights, context)
@@ -414,12 +406,11 @@ def _moved(baseline: Baseline, entry: MonitorEntry, flights: Flights) -> tuple[A
 
 def _joined(one: Sequence[Covered], other: Sequence[Covered]) -> tuple[Covered, ...]:
     """What both covered together; a condition that one does not carry restricts as the other says."""
-    spans = {covered.condition: covered for covered in one}
-    for covered in other:
-        known = spans.get(covered.condition, covered)
-        low, high = min(known.low, covered.low), max(known.high, covered.high)
-        spans[covered.condition] = Covered(covered.condition, low, high)
-    return tuple(spans.values())
+    spans = dict[Condition, tuple[float, float]]()
+    for own in (*one, *other):
+        low, high = spans.get(own.condition, (own.low, own.high))
+        spans[own.condition] = min(low, own.low), max(high, own.high)
+    return tuple(Covered(condition, *span) for condition, span in spans.items())
 
 
 def warm() -> None:

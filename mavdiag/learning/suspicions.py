@@ -82,20 +82,22 @@ class Course:
     conditions: FloatArray
 
     @property
+    def trim(self) -> bool:
+        """A monitor of the trim tells it: it may differ by a fall, too."""
+        return self.name in TRIMS
+
+    @property
     def figures(self) -> FloatArray:
         """(k, c) what is compared: rises of the rotors, or the statistic's logarithm."""
-        return self.rises if self.name in TRIMS else np.log(np.maximum(self.value, TINY))[:, None]
+        return self.rises if self.trim else np.log(np.maximum(self.value, TINY))[:, None]
 
     def limits(self, rise: float, ratio: float) -> tuple[float, float]:
         """The least difference of figures that counts, and the least spread that is believed."""
-        return (rise, RISE_FLOOR) if self.name in TRIMS else (math.log(ratio), LOG_FLOOR)
+        return (rise, RISE_FLOOR) if self.trim else (math.log(ratio), LOG_FLOOR)
 
 
 def courses(specs: Sequence[Any], flights: Sequence[LearntFlight]) -> tuple[Course, ...]:
-    """The courses of the steady monitors, of those of the trim, and of the accelerometer, in each flight.
-
-    specs: fits to all the flights.
-    """
+    """The courses of the steady monitors, the trim's and the accelerometer in each flight. specs: fits to them all."""
     used, found = [spec for spec in specs if spec.kind in (*STEADY, *TRIMS)], list[Course]()
     for number, (flight, bins) in enumerate(zip(flights, bins_of([one.rows for one in flights]), strict=True)):
         ends_s = np.concatenate([np.empty(0), *(one.end_ns / NS_PER_S for one in bins)])
@@ -107,22 +109,17 @@ def courses(specs: Sequence[Any], flights: Sequence[LearntFlight]) -> tuple[Cour
                 at = at[np.unique(one.t_ns[at] // NS_PER_S, return_index=True)[1]]
                 rises = one.rotors[at] if spec.kind in TRIMS else np.empty((len(at), 0))
                 part.append(np.column_stack((one.t_ns[at] / NS_PER_S, one.value[at], rises)))
-        for part, spec in zip(parts, used, strict=True):
-            rows = np.concatenate(part)
-            rows = rows[np.unique(rows[:, 0] // 1, return_index=True)[1]]
+        tables = [(spec.kind, spec, np.concatenate(part)) for part, spec in zip(parts, used, strict=True)]
+        for name, spec, rows in (*tables, ("accelerometer", *_shaking(flight))):
+            rows = rows[np.unique(rows[:, 0] // 1, return_index=True)[1]] if name != "accelerometer" else rows
             flown = values[np.searchsorted(ends_s, rows[:, 0], side="right")]
-            found.append(Course(spec.kind, spec, number, flight.label.name, rows[:, 0], rows[:, 1], rows[:, 2:], flown))
-        t_s, value, dt_s = _shaking(flight)
-        flown = values[np.searchsorted(ends_s, t_s, side="right")]
-        found.append(
-            Course("accelerometer", dt_s, number, flight.label.name, t_s, value, np.empty((len(t_s), 0)), flown)
-        )
+            found.append(Course(name, spec, number, flight.label.name, rows[:, 0], rows[:, 1], rows[:, 2:], flown))
     return tuple(found)
 
 
-def _shaking(flight: LearntFlight) -> tuple[FloatArray, FloatArray, float]:
-    """Times, rms and row period: all links that are not low-passed carry a rotor's line somewhere, folded or not."""
-    t_s, value, dt_s = [np.empty(0)], [np.empty(0)], 0.0
+def _shaking(flight: LearntFlight) -> tuple[float, FloatArray]:
+    """Row period, times and rms: all links that are not low-passed carry a rotor's line somewhere, folded or not."""
+    found, dt_s = [np.empty((0, 2))], 0.0
     for block in (rows.block for rows in flight.rows):
         dt_s, second = block.dt_s, window_rows(1.0, block.dt_s)
         squares = np.square(np.diff(block.force[:, :2].T, n=2)).sum(axis=0)
@@ -131,9 +128,9 @@ def _shaking(flight: LearntFlight) -> tuple[FloatArray, FloatArray, float]:
         parts = np.where(known, squares, 0.0)[: count * second].reshape(count, second)
         share = known[: count * second].reshape(count, second).mean(axis=1)
         whole = share > 0.5
-        t_s.append(block.t_ns[: count * second : second][whole] / NS_PER_S)
-        value.append(np.sqrt(parts.mean(axis=1)[whole] / share[whole]))
-    return np.concatenate(t_s), np.concatenate(value), dt_s
+        t_s = block.t_ns[: count * second : second][whole] / NS_PER_S
+        found.append(np.column_stack((t_s, np.sqrt(parts.mean(axis=1)[whole] / share[whole]))))
+    return dt_s, np.concatenate(found)
 
 
 def suspicions(found: Sequence[Course], airframe: Airframe) -> tuple[Finding, ...]:
@@ -146,7 +143,7 @@ def suspicions(found: Sequence[Course], airframe: Airframe) -> tuple[Finding, ..
 
 def _change(course: Course) -> Finding | None:
     """The clearest change within a flight, of what was flown alike before and after."""
-    x, trim, (least, floor) = course.figures, course.name in TRIMS, course.limits(CHANGE_RISE, CHANGE_RATIO)
+    x, trim, (least, floor) = course.figures, course.trim, course.limits(CHANGE_RISE, CHANGE_RATIO)
     clear = list[tuple[float, int, int]]()  # how clear, where, and which figure
     if len(x) < 2 * PART_S or np.ptp(x, axis=0).max(initial=0.0) < least:  # no two medians lie further apart
         return None
@@ -192,31 +189,31 @@ def _medians(x: FloatArray, counts: IntArray) -> FloatArray:
 def _odd(found: Sequence[Course]) -> Iterator[Finding]:
     """The oddest flight by each monitor, if it is odd: how far its median lies from that of the others."""
     for name in dict.fromkeys(one.name for one in found if one.name != "trim_step"):
-        same, trim = [one for one in found if one.name == name and len(one.t_s) >= PART_S], name in TRIMS
+        same = [one for one in found if one.name == name and len(one.t_s) >= PART_S]
         if len(same) < 2:
             continue
-        limits, middle = same[0].limits(ODD_RISE, ODD_RATIO), [np.median(one.figures, axis=0) for one in same]
-        apart = [_apart(own, [*middle[:i], *middle[i + 1 :]], *limits) for i, own in enumerate(middle)]
         flown = [(one.figures, one.conditions) for one in same]
-        for number in np.argsort(-np.abs(apart)).tolist() if trim else np.argsort(apart)[::-1].tolist():
-            if apart[number] == 0.0 or (apart[number] < 0 and not trim):
-                break
+        middle = [np.median(x, axis=0) for x, _ in flown]
+        apart = [_apart(same[i], own, [*middle[:i], *middle[i + 1 :]]) for i, own in enumerate(middle)]
+        for number in np.argsort(-np.abs(apart)).tolist():
             own, others = _alike(flown[number], [*flown[:number], *flown[number + 1 :]])
-            if others and len(own) >= PART_S:
-                off = _apart(np.median(own, axis=0), [np.median(x, axis=0) for x in others], *limits)
-                if off > 0.0 or (off < 0.0 and trim):
-                    off_by = f"{100 * off:+.0f} % of hover" if trim else f"{math.exp(off):.2g} times"
-                    text = f"{name}: {off_by} against the other flights: is a propeller broken in one of them?"
-                    yield Finding(same[number].number, same[number].log, text)
-                    break
+            if not apart[number]:
+                break
+            if not others or len(own) < PART_S:
+                continue
+            if off := _apart(same[number], np.median(own, axis=0), [np.median(x, axis=0) for x in others]):
+                off_by = f"{100 * off:+.0f} % of hover" if same[number].trim else f"{math.exp(off):.2g} times"
+                text = f"{name}: {off_by} against the other flights: is a propeller broken in one of them?"
+                yield Finding(same[number].number, same[number].log, text)
+                break
 
 
-def _apart(own: FloatArray, others: Sequence[FloatArray], least: float, floor: float) -> float:
-    """The figure that lies furthest from the others' median, by how much; 0 where none does by enough."""
-    rest = np.array(others)
+def _apart(course: Course, own: FloatArray, others: Sequence[FloatArray]) -> float:
+    """By how much the figure that lies furthest from the others' median does so; 0 where none does by enough."""
+    (least, floor), rest = course.limits(ODD_RISE, ODD_RATIO), np.array(others)
     off = own - np.median(rest, axis=0)
     spread = np.hypot(1.4826 * np.median(np.abs(rest - np.median(rest, axis=0)), axis=0), floor)
-    off = np.where(np.abs(off) >= np.maximum(least, SPREADS * spread), off, 0.0)
+    off = np.where((np.abs(off) if course.trim else off) >= np.maximum(least, SPREADS * spread), off, 0.0)
     return float(off[np.abs(off).argmax()])
 
 

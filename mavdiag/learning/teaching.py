@@ -5,11 +5,11 @@ taken for one: each would be learnt without a word. A guard returns `Finding`s: 
 and what to do about it. All limits are our choices; `benchmarks/broken_teaching.py` has what they find.
 """
 
-import itertools
 import math
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from itertools import chain, groupby, pairwise
+from typing import TypeVar
 
 import numpy as np
 
@@ -17,7 +17,6 @@ from mavdiag.airframe.layout import RotorLayout
 from mavdiag.airframe.trim import LEVEL_RATIO, shown_trim
 from mavdiag.errors import InputError
 from mavdiag.learning.flights import (
-    IN_MEMORY,
     LEAVE_OUT,
     PIECE_ROWS,
     HeldLog,
@@ -35,7 +34,7 @@ from mavdiag.rows.grid import steps_of
 from mavdiag.rows.quality import LinkQuality, adds_nothing, learnt_quality
 from mavdiag.rows.upsets import MARGIN_S, motion_of, upset_in
 from mavdiag.rows.windows import means_from, window_rows
-from mavdiag.storage import Shelf, give_back
+from mavdiag.storage import give_back
 from mavdiag.telemetry import FloatArray, IntArray, Log, Signal
 from mavdiag.units import NS_PER_S
 
@@ -63,6 +62,7 @@ NOTED_DISTANCE = 0.005  # of the hover command: as much as new propellers make (
 GROUP_RATIO = 6.0  # of the distance to the spread within the groups (our choice)
 MAX_ROUNDS = 5  # of cutting and looking again; what is far may hide what is less far (our choice)
 GROUP_FLOOR = 0.001  # of the hover command: no mean over a flight is more certain (our choice)
+Found = TypeVar("Found")
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +72,6 @@ class Finding:
     number, log: of the flight among those given, from 0, for two may have one name; and its name.
     text: what was seen, with figures, without the name.
     from_s, to_s: the part to leave out [s of the vehicle's clock]; None for the start or the end of the log.
-    refuses: it must not be learnt; else it is only noted.
     """
 
     number: int
@@ -80,7 +79,6 @@ class Finding:
     text: str
     from_s: float | None = None
     to_s: float | None = None
-    refuses: bool = True
 
     @property
     def place(self) -> str:
@@ -105,8 +103,7 @@ def repeated(flights: Iterable[Log | HeldLog]) -> tuple[Finding, ...]:
 
     A copy in another container, or a part of a log, has the same gyro values, while their stamps may differ.
     """
-    shelf, found, files = Shelf(IN_MEMORY), list[Finding](), dict[str, str]()
-    held = [hold(flight, shelf) for flight in flights]
+    held, found, files = [hold(flight) for flight in flights], list[Finding](), dict[str, str]()
     runs, earliest, owners = _shared(held, LOOKED_AT)
     if (earliest < owners).any():  # then all runs are looked at
         runs, earliest, owners = _shared(held, 0)
@@ -134,10 +131,7 @@ def repeated(flights: Iterable[Log | HeldLog]) -> tuple[Finding, ...]:
 
 
 def _shared(flights: Sequence[HeldLog], most: int) -> tuple[list[tuple[IntArray, IntArray]], IntArray, IntArray]:
-    """Of each flight its runs; of all of them the first flight that holds it, and its own.
-
-    most: about how many are looked at, the same ones of all flights by their hashes; 0 for all.
-    """
+    """Of each flight its runs; of all of them the first flight that holds it, and its own. most: runs, 0 for all."""
     pieces = (one for flight in flights for piece in flight.pieces() for one in piece)
     values = sum(len(series) for series in pieces if series.signal is Signal.BODY_RATE)
     every = max(1, values // most) if most else 1
@@ -181,10 +175,15 @@ def upsets(flights: Sequence[LearntFlight]) -> tuple[Finding, ...]:
     """The upset of each flight that has one, from its first sign to its last, with two seconds around."""
     found = list[Finding]()
     for number, flight in enumerate(flights):
-        if (upset := upset_in(_seen(flight, "motion"))) is not None:
+        if (upset := upset_in(_seen(flight, _motion))) is not None:
             end_s = None if upset.ends else upset.end_s + MARGIN_S
             found.append(Finding(number, flight.label.name, upset.text, upset.begin_s - MARGIN_S, end_s))
     return tuple(found)
+
+
+def _motion(rows: Rows) -> Iterator[FloatArray]:
+    if len(rows.block):
+        yield motion_of(rows.block)
 
 
 def turned(flights: Sequence[LearntFlight], known: Collection[int] = ()) -> tuple[Finding, ...]:
@@ -194,7 +193,7 @@ def turned(flights: Sequence[LearntFlight], known: Collection[int] = ()) -> tupl
     vehicle's commands oppose what moves it, as on a circle. known: axes of which the sign is right.
     """
     found = dict[int, Finding]()
-    sums = np.array([sum(_seen(flight, "turns"), np.zeros((3, 2))) for flight in flights]).reshape(-1, 3, 2)
+    sums = np.array([sum(_seen(flight, _turns), np.zeros((3, 2))) for flight in flights]).reshape(-1, 3, 2)
     r = sums[:, 0] / np.maximum(sums[:, 1:].max(axis=1), np.finfo(float).tiny)
     sign = np.where(np.abs(r) > TURNED, np.sign(r), 0.0)
     for axis, name in enumerate(("roll", "pitch")):
@@ -225,7 +224,7 @@ def far_blocks(flights: Sequence[LearntFlight]) -> tuple[Finding, ...]:
     lies above the median). Lower noise is not far, nor a rate error below 0.5 rad/s, which gusts give. Thrust is far at
     1.5 times or a 1.5th.
     """
-    blocks = [(number, *block) for number, flight in enumerate(flights) for block in _seen(flight, "blocks")]
+    blocks = [(number, *block) for number, flight in enumerate(flights) for block in _seen(flight, _blocks)]
     if len(blocks) < MIN_BLOCKS:
         return ()
     table = np.array(blocks)
@@ -253,7 +252,7 @@ def _blocks(rows: Rows) -> Iterator[tuple[float, ...]]:
     block, rates = rows.block, rows.rates
     noise, size = np.square(np.diff(block.rate.T, n=2)).sum(axis=0), window_rows(BLOCK_S, block.dt_s)
     # a last block that is shorter than half belongs to the one before
-    for first, stop in itertools.pairwise([*range(0, max(1, len(block) - size // 2), size), len(block)]):
+    for first, stop in pairwise([*range(0, max(1, len(block) - size // 2), size), len(block)]):
         if np.count_nonzero(block.valid[first:stop]) < 0.5 * size:
             continue
         low_ns, high_ns = block.t_ns[[first, stop - 1]].tolist()
@@ -275,18 +274,9 @@ def _spans(rows: Rows) -> Iterator[tuple[int, int, int]]:
         yield rows.block.segment, int(t_ns[0]), int(t_ns[-1])
 
 
-_GLANCES: Mapping[str, Callable[[Rows], Iterable[Any]]] = {
-    "motion": lambda rows: [motion_of(rows.block)] if len(rows.block) else [],
-    "turns": _turns,
-    "blocks": _blocks,
-    "spans": _spans,
-}
-
-
-def _seen(flight: LearntFlight, what: str) -> list[Any]:
-    """What a glance finds in the rows of a flight, in order."""
-    found: list[Any] = flight.rows.once(what, lambda flown: [one for rows in flown for one in _GLANCES[what](rows)])
-    return found
+def _seen(flight: LearntFlight, glance: Callable[[Rows], Iterable[Found]]) -> list[Found]:
+    """What a glance at each of the rows of a flight finds, in order."""
+    return flight.rows.once(glance, lambda flown: list(chain.from_iterable(map(glance, flown))))
 
 
 def _compared(logs: FloatArray, busy: FloatArray) -> FloatArray:
@@ -313,14 +303,14 @@ def _typical(squares: FloatArray, dt_s: float) -> float:
     return math.sqrt(float(np.median(known))) if len(known) else math.nan
 
 
-def trim_groups(flights: Sequence[LearntFlight], layout: RotorLayout | None) -> tuple[Finding, ...]:
-    """Flights whose mean trims fall into two groups: two airframes, or two sets of propellers.
+def trim_groups(flights: Sequence[LearntFlight], layout: RotorLayout | None) -> tuple[list[Finding], bool]:
+    """Flights whose mean trims fall into two groups (two airframes, or sets of propellers), and if they are refused.
 
     The groups are apart if the distance of their means is at least 6 times the spread within them and 0.03 of the hover
     command, roll and pitch counting a third. With 0.005 it is noted, and so it is if a group has one flight alone.
     """
     if layout is None:
-        return ()
+        return [], False
     known, means = list[int](), list[FloatArray]()
     for number, flight in enumerate(flights):
         shown = [trim[where] for trim, where in (shown_trim(rows.block, layout) for rows in flight.rows)]
@@ -328,12 +318,12 @@ def trim_groups(flights: Sequence[LearntFlight], layout: RotorLayout | None) -> 
             known.append(number)
             means.append(np.concatenate(shown).mean(axis=0))
     if len(known) < 3:
-        return ()
+        return [], False
     weight = np.array([1.0 / LEVEL_RATIO, 1.0 / LEVEL_RATIO, 1.0])
     trims = np.array(means) * weight
     distance, spread, odd = max((_split(trims, axis) for axis in range(3)), key=lambda split: split[0] / split[1])
     if distance < max(NOTED_DISTANCE, GROUP_RATIO * spread):
-        return ()
+        return [], False
     refuses = distance >= GROUP_DISTANCE and 2 <= len(odd) <= len(known) - 2
     names = [flights[known[i]].label.name for i in odd]
     groups = trims[odd].mean(axis=0) / weight, np.delete(trims, odd, axis=0).mean(axis=0) / weight
@@ -342,8 +332,8 @@ def trim_groups(flights: Sequence[LearntFlight], layout: RotorLayout | None) -> 
         f"the mean trims of the flights fall into two groups: roll, pitch, yaw {one} in {', '.join(names)} and {rest} "
         "in the others: two airframes, sets of propellers or sessions"
     )
-    found = [Finding(known[i], name, text, refuses=refuses) for i, name in zip(odd, names, strict=True)]
-    return tuple(found if refuses else found[:1])
+    found = [Finding(known[i], name, text) for i, name in zip(odd, names, strict=True)]
+    return (found, True) if refuses else (found[:1], False)
 
 
 def _split(trims: FloatArray, axis: int) -> tuple[float, float, list[int]]:
@@ -367,17 +357,14 @@ class Taught:
     notes: tuple[str, ...] = ()
 
 
-def taught(
-    logs: Iterable[Log | HeldLog], window_s: float, gate: GateSpec | None, *, robust: bool, shelf: Shelf | None = None
-) -> Taught:
+def taught(logs: Iterable[Log | HeldLog], window_s: float, gate: GateSpec | None, *, robust: bool) -> Taught:
     """The flying parts of healthy flights, guarded, put aside as the logs are, with only those samples that they
     themselves, taken together, make believable, as in judging.
 
     Raises InputError with file, place and remedy for what a guard refuses; with `robust` it is left out instead, and
     InputError says so only if nothing remains.
     """
-    shelf, left_out = shelf or Shelf(IN_MEMORY), list[str]()
-    held = [hold(log, shelf) for log in logs]
+    held, left_out = [hold(log) for log in logs], list[str]()
     while robust and len(held) > 2 and (odd := odd_rate(held, window_s)) is not None:
         left_out.append(odd[1])
         del held[odd[0]]
@@ -387,7 +374,7 @@ def taught(
         flights = []
         for log in logs:
             try:
-                flights.append(airborne(front, log, shelf, outputs, _GLANCES))
+                flights.append(airborne(front, log, outputs))
             except InputError as error:
                 if not robust:
                     raise
@@ -395,13 +382,13 @@ def taught(
         give_back()
         return flights
 
-    flights = flown(_without(held, repeated(held), shelf, robust, left_out))
+    flights = flown(_without(held, repeated(held), robust, left_out))
     for guard in (upsets, turned, far_blocks):
         for _ in range(MAX_ROUNDS):  # the guard looks again at what remains
             findings = guard(flights)
             if not findings:
                 break
-            kept = _without([flight.held for flight in flights], findings, shelf, robust, left_out)
+            kept = _without([flight.held for flight in flights], findings, robust, left_out)
             same = {id(flight.held): [flight] for flight in flights}
             flights = [one for log in kept for one in same.get(id(log)) or flown([log])]
     if not flights:
@@ -409,16 +396,15 @@ def taught(
     front = replace(front, align=replace(front.align, quality=_quality_of(flights)))
     for i, flight in enumerate(flights):  # made anew only where that makes a difference
         if not adds_nothing(front.align.quality, flight.held.pieces()):
-            flights[i] = airborne(front, flight.held, shelf, outputs)
+            flights[i] = airborne(front, flight.held, outputs)
     give_back()
     return Taught(front, tuple(flights), tuple(left_out))
 
 
 def _quality_of(flights: Sequence[LearntFlight]) -> LinkQuality:
-    """Which samples of the link the flights make believable."""
     flown = []
     for flight in flights:
-        ends = [list(spans) for _, spans in itertools.groupby(_seen(flight, "spans"), key=lambda span: int(span[0]))]
+        ends = [list(spans) for _, spans in groupby(_seen(flight, _spans), key=lambda span: int(span[0]))]
         flown.append((flight.held, [(spans[0][1], spans[-1][2]) for spans in ends]))
     parts = [  # signal by signal, so that no more of the flights is in memory
         learnt_quality((held.open(signal), spans) for held, spans in flown)
@@ -431,18 +417,18 @@ def _quality_of(flights: Sequence[LearntFlight]) -> LinkQuality:
 
 def one_vehicle(found: Taught, layout: RotorLayout | None, *, robust: bool) -> Taught:
     """The flights of one vehicle and set of propellers, by their trims; raises InputError as `taught` does."""
-    findings = trim_groups(found.flights, layout)
-    odd = {finding.number: finding for finding in findings if finding.refuses}
+    findings, refused = trim_groups(found.flights, layout)
+    told = tuple(map(str, findings))
+    if not refused:
+        return replace(found, notes=told)
     if not robust:
-        refuse(list(odd.values()), f"{LEAVE_OUT}; or learn a type with --fleet")
+        refuse(findings, f"{LEAVE_OUT}; or learn a type with --fleet")
+    odd = [finding.number for finding in findings]
     flights = tuple(flight for number, flight in enumerate(found.flights) if number not in odd)
-    notes = (*found.notes, *(str(finding) for finding in findings if not finding.refuses))
-    return replace(found, flights=flights, left_out=(*found.left_out, *map(str, odd.values())), notes=notes)
+    return replace(found, flights=flights, left_out=(*found.left_out, *told))
 
 
-def _without(
-    logs: Sequence[HeldLog], findings: Sequence[Finding], shelf: Shelf, robust: bool, left_out: list[str]
-) -> list[HeldLog]:
+def _without(logs: Sequence[HeldLog], findings: Sequence[Finding], robust: bool, left_out: list[str]) -> list[HeldLog]:
     """The logs without what the findings name, of which `left_out` takes a sentence each; refused unless `robust`."""
     if not robust:
         refuse(findings, LEAVE_OUT)
@@ -452,7 +438,7 @@ def _without(
         places = [(finding.from_s, finding.to_s) for finding in findings if finding.number == number]
         if (None, None) not in places:
             for place in places:
-                log = log.without(*place, shelf)
+                log = log.without(*place)
             kept.append(log)
     return kept
 

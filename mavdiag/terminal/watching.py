@@ -19,7 +19,6 @@ from rich.live import Live
 from rich.text import Text
 
 from mavdiag.decision.diagnosis import Change, Stage
-from mavdiag.decision.words import diagnosis_line
 from mavdiag.errors import InputError
 from mavdiag.link.messages import Severity
 from mavdiag.printable import printable
@@ -123,7 +122,7 @@ def link_view(station: GroundStation, now_s: float, span_s: float, axis: Axis, e
 def judge_view(judge: LiveJudge, now_s: float, span_s: float, axis: Axis, events: Sequence[Line]) -> View:
     """A moment of what is judged here: strips and every monitor."""
     strips, levels = rate_strips(judge, axis), levels_of(judge)
-    says, stage = diagnosis_line(judge.diagnosis), judge.diagnosis.stage
+    says, stage = str(judge.diagnosis), judge.diagnosis.stage
     return View("", says, stage, now_s - span_s, now_s, strips, levels, tuple(events))
 
 

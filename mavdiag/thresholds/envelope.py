@@ -67,21 +67,16 @@ class Covered:
 
     def borders(self) -> tuple[float, float, float]:
         """Where e is 0 below and above, infinite on a side that is not limited, and how far from there it is 1."""
-        (low, high), rule = self._limits(), RULES[self.condition]
-        if rule.side == "both":
-            return low, high, rule.room * (high - low)
-        if rule.side == "upper":
-            return -np.inf, high, rule.room * high
-        return (low, np.inf, rule.room * low) if low > 0 else (-np.inf, np.inf, 1.0)
-
-    def _limits(self) -> tuple[float, float]:
         rule, middle = RULES[self.condition], 0.5 * (self.low + self.high)
         if rule.side == "upper":
-            return self.low, max(self.high, rule.least)
+            high = max(self.high, rule.least)
+            return -np.inf, high, rule.room * high
         if rule.side == "lower":
-            return min(self.low, rule.least), self.high
+            low = min(self.low, rule.least)
+            return (low, np.inf, rule.room * low) if low > 0 else (-np.inf, np.inf, 1.0)
         reach = max(0.5 * (self.high - self.low), rule.least * abs(middle), 1e-9)
-        return middle - reach, middle + reach
+        low, high = middle - reach, middle + reach
+        return low, high, rule.room * (high - low)
 
     def sentence(self, value: float) -> str:
         """What was flown and what was learnt: "yaw rate 1.8 rad/s, learnt up to 0.3"."""
@@ -92,10 +87,10 @@ class Covered:
         return f"{self.condition} {self._span()} {RULES[self.condition].unit}".rstrip()
 
     def _span(self) -> str:
-        rule, (low, high) = RULES[self.condition], self._limits()
+        rule, (low, high, _) = RULES[self.condition], self.borders()
         if rule.side == "both":
             return f"{_figure(low, rule)} to {_figure(high, rule)}"
-        return f"up to {_figure(high, rule)}" if rule.side == "upper" else f"from {_figure(low, rule)}"
+        return f"up to {_figure(high, rule)}" if rule.side == "upper" else f"from {_figure(max(low, 0.0), rule)}"
 
     def advice(self) -> str | None:
         """What would widen it; None if the flights covered more than nothing."""

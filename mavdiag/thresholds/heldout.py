@@ -4,47 +4,40 @@ With several flights each is scored by a fit to the others. A single flight is c
 there are as many, and each piece is scored by a fit to the rest. This is the only place that makes blocks.
 """
 
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
-from typing import Any, TypeAlias, overload
+from typing import Any, TypeAlias, TypeVar, overload
 
 import numpy as np
 
-from mavdiag.errors import IdentificationError
 from mavdiag.rows.front import Rows
-from mavdiag.telemetry import Axis, FloatArray, IntArray
+from mavdiag.telemetry import FloatArray, IntArray
 
 BLOCK_S = 10.0  # judged time of a block (our choice); 7 to 13 s change no verdict on the recorded flights
 MAX_FOLDS = 10  # models that share the work of judging flights they did not see (our choice)
 MANY, MANY_FOLDS = 50, 5  # sessions, of which a fifth is left out at a time: it moves a threshold 0.12 % (our choice)
 PIECES = 5  # of a single flight, one per block at most (our choice)
 
+Found = TypeVar("Found")
 Flights: TypeAlias = Sequence[Sequence[Rows]]
 
 
 class Looks(Sequence[Rows]):
     """The rows of a flight, each made anew for a look, so that they take memory only as long as they are held.
 
-    remembers: it keeps what was found in it, for fits to other sets of flights with it. answers: found already.
+    remembers: it keeps what was found in it, for fits to other sets of flights with it.
     """
 
-    def __init__(
-        self,
-        makers: Iterable[Callable[[], Rows]],
-        remembers: bool = True,
-        answers: Mapping[Hashable, Any] | None = None,
-    ) -> None:
+    def __init__(self, makers: Iterable[Callable[[], Rows]], remembers: bool = True) -> None:
         self.makers, self._remembers = tuple(makers), remembers
-        self._answers: dict[Hashable, Any] = dict(answers or {})
+        self._answers: dict[Hashable, Any] = {}
 
-    def once(self, key: Hashable, find: Callable[[Sequence[Rows]], Any]) -> Any:
+    def once(self, key: Hashable, find: Callable[[Sequence[Rows]], Found]) -> Found:
         """What `find` gives of this flight, and the same for the same key later on."""
-        if not self._remembers:
-            return find(self)
-        if key not in self._answers:
-            self._answers[key] = find(self)
-        return self._answers[key]
+        found: Found = self._answers[key] if key in self._answers else find(self)
+        if self._remembers:
+            self._answers[key] = found
+        return found
 
     def __len__(self) -> int:
         return len(self.makers)
@@ -78,18 +71,19 @@ class Scores:
 
 def score(monitor: Any, flight: Sequence[Rows], number: int = 0) -> Scores:
     """Block maxima of a monitor over one flight of that number (`maxima`)."""
-    found = [(one.value[one.valid], one.period_s) for one in monitor.over(flight)] or [(np.empty(0), 0.0)]
-    return maxima(np.concatenate([values for values, _ in found]), found[-1][1], number)
+    return maxima([(one.value[one.valid], one.period_s) for one in monitor.over(flight)], number)
 
 
-def maxima(x: FloatArray, period_s: float, number: int = 0) -> Scores:
-    """Block maxima of the valid values of one flight, each of which stands for so much time.
+def maxima(pieces: Sequence[tuple[FloatArray, float]], number: int = 0) -> Scores:
+    """Block maxima of the valid values of one flight, piece by piece with the time that each value stands for.
 
     A block holds `BLOCK_S` of judged time, whatever lies between; a remainder shorter than half a block belongs to the
     block before it.
     """
+    x = np.concatenate([np.empty(0), *(values for values, _ in pieces)])
     if len(x) == 0:
         return pooled([])
+    period_s = pieces[-1][1]
     size = max(1, round(BLOCK_S / period_s))
     count = max(1, len(x) // size + (len(x) % size >= size / 2))
     starts = np.arange(count) * size
@@ -102,17 +96,6 @@ def pooled(parts: Iterable[Scores]) -> Scores:
     found = [Scores(np.empty(0), np.empty(0), np.empty(0, dtype=np.int64)), *parts]
     columns = zip(*((one.maxima, one.spans_s, one.flights) for one in found), strict=True)
     return Scores(*map(np.concatenate, columns))
-
-
-def by_axis(parts: Iterable[tuple[Axis | None, Scores]]) -> dict[Axis | None, Scores]:
-    """The scores of each axis that has any. Raises IdentificationError if there are none."""
-    found: dict[Axis | None, list[Scores]] = {}
-    for axis, scores in parts:
-        if len(scores.maxima):
-            found.setdefault(axis, []).append(scores)
-    if not found:
-        raise IdentificationError("the healthy flights are too short to score the statistic on; fly longer")
-    return {axis: pooled(scores) for axis, scores in found.items()}
 
 
 def folds(flights: Flights, sessions: Sequence[int] | None = None) -> Iterator[tuple[Flights, Flights]]:
@@ -143,21 +126,20 @@ def _pieces(flight: Sequence[Rows]) -> Iterator[tuple[Flights, Flights]]:
     hops = list(dict.fromkeys(segment for segment, _, valid, _ in looks if valid.any()))
     edges = judged_ns[np.linspace(0, len(judged_ns) - 1, count + 1).round().astype(np.int64)].tolist()
     edges[-1] += 1
+
+    def cut(number: int, first: int, stop: int, segment: int, from_ns: int | None = None) -> Callable[[], Rows]:
+        return lambda: flight[number].part(first, stop, segment, from_ns)
+
     for low_ns, high_ns, hop in zip(edges[:-1], edges[1:], hops if len(hops) == count else [None] * count, strict=True):
         part, rest = list[Callable[[], Rows]](), list[Callable[[], Rows]]()
         for number, (segment, t_ns, _, _) in enumerate(looks):
             if hop is not None:  # each is a piece
-                (part if segment == hop else rest).append(partial(_cut, flight, number, 0, len(t_ns), segment))
+                (part if segment == hop else rest).append(cut(number, 0, len(t_ns), segment))
                 continue
             first, stop = np.searchsorted(t_ns, [low_ns, high_ns]).tolist()
             places = ((rest, 0, first), (part, first, stop), (rest, stop, len(t_ns)))
             for third, (found, start, end) in enumerate(places):
                 if end > start:
                     from_ns = (None, low_ns, high_ns)[third]
-                    found.append(partial(_cut, flight, number, start, end, 3 * segment + third, from_ns))
+                    found.append(cut(number, start, end, 3 * segment + third, from_ns))
         yield [Looks(part, remembers=False)], [Looks(rest, remembers=False)]
-
-
-def _cut(flight: Sequence[Rows], number: int, first: int, stop: int, segment: int, from_ns: int | None = None) -> Rows:
-    """Rows [first, stop) of rows with a number, as a segment that begins at a time [ns]."""
-    return flight[number].part(first, stop, segment, from_ns)

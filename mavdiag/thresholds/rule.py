@@ -106,11 +106,7 @@ USUAL = Prior()  # of a statistic that nothing else is known of (our choice)
 
 @cache
 def priors_file() -> Mapping[str, Any]:
-    """The priors of all monitors: where their figures are from, and by monitor what is known.
-
-    `benchmarks/make_priors.py` pools healthy baselines of several airframes. Beside what these show stands an estimate
-    by hand, with its reason, of what no emulator shows.
-    """
+    """By monitor what `benchmarks/make_priors.py` pooled of airframes, and what is estimated by hand, and why."""
     text = resources.files("mavdiag.thresholds").joinpath("priors.json").read_text(encoding="utf-8")
     content: Mapping[str, Any] = json.loads(text)
     return content
@@ -119,8 +115,7 @@ def priors_file() -> Mapping[str, Any]:
 def prior_of(monitor: str) -> Prior:
     """The prior of a monitor of that name, the usual one if the file has none: the wider of the pool and the estimate.
 
-    Where a statistic is compared with its own mean and the pool differs by less, the pool is a class of its own. Where
-    it is not, flights alike say nothing of what other propellers move.
+    Where a statistic is compared with its own mean and the pool differs by less, the pool is a class of its own.
     """
     known = priors_file()["priors"].get(monitor)
     if known is None:
@@ -386,10 +381,7 @@ class Law:
 
 @lru_cache(maxsize=64)
 def law_of(scores: Scores, sessions: tuple[int, ...], prior: Prior) -> Law:
-    """The law of healthy flights by their components of variance, each with its prior. sessions: that of each.
-
-    A class is as likely as it was before any flight, times the likelihood of the three sums of squares under it.
-    """
+    """The law of healthy flights by their components of variance, each with its prior. sessions: that of each."""
     classes = [prior] if prior.other is None else [prior, Prior(*prior.other, prior.shares)]
     parts, likelihoods = zip(*(part_of(scores, sessions, one) for one in classes), strict=True)
     weights = np.array([1.0 - OTHERS, OTHERS])[: len(parts)] * np.exp(np.array(likelihoods) - max(likelihoods))

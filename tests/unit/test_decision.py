@@ -16,7 +16,7 @@ from mavdiag.decision.alarm import LEFT_ALONE, NEXT, DecisionSpec, DecisionState
 from mavdiag.decision.diagnosis import Change, Diagnosis, Event, Stage, graded
 from mavdiag.decision.grading import Assessment, FaultTypes, Gathered, assess, known_fault_types
 from mavdiag.decision.kinds import Reading, grown, isolate, named
-from mavdiag.decision.words import diagnosis_line, fault_reason
+from mavdiag.decision.words import fault_reason
 from mavdiag.kernel import EVIDENCE, LAST_LEVEL, LOOK_NS, Alarm, Height, Looked
 from mavdiag.monitors import MONITORS
 from mavdiag.monitors.base import FaultKind, Feature, RotorEvidence
@@ -83,7 +83,7 @@ def test_coming_near_is_suspected_with_its_rotor_and_goes_away_after_two_calm_se
     told = [(one.stage, one.rotor) for one in changes]
     assert (told, events) == ([(Stage.QUIET, None), (Stage.SUSPECTED, 1), (Stage.QUIET, None)], ())
     near = Diagnosis(Stage.SUSPECTED, "near", monitor="unbalance", statistic=0.42, threshold=0.5)
-    assert diagnosis_line(near) == "suspected: near (unbalance 0.42 of 0.5)"
+    assert str(near) == "suspected: near (unbalance 0.42 of 0.5)"
 
 
 @pytest.mark.parametrize(("memory_s", "raised_s", "suspected"), [(1.3, 0.6, False), (1.3, 0.9, True), (3.0, 0.2, True)])
