@@ -6,15 +6,14 @@ then grows along one diagonal, in step with the vertical acceleration:
     r_roll, r_pitch = y - y_sim                  free run of a closed-loop ARX model on the commanded rate (T 5.5)
     r_heave         = a_z - a_sim                the same on the commanded thrust
     r  <- r - EMA_0.5s(r)                        from the first known r on; slow wind and trim are no fault
-    r  <- r - g f - h df/dt                      f: y_sim without its slow part; g, h follow the last 10 s
+    r  <- r - g f - h df/dt                      f: y_sim without its slow part; g, h: least squares of the last 10 s
     n   = r / sqrt(k0 + k1 EMA_0.35s(u^2))       u: what was commanded; a sharp manoeuvre may leave more (METHOD 4)
     n  <- clip(n, +-4 s)                         s^2 = max(1, EMA_10s(n^2)): a jolt counts little, unrest in full
 
-g is an error of the loop's gain and h one of its speed: battery, payload and new propellers change them slowly and for
-every manoeuvre alike. They are the least-squares fit to the last 10 s, drawn to zero where little was commanded.
-
-The filtered rates hold nothing above some 8 Hz, so all of this runs on every tenth row at 1 kHz. A step of commanded
-motion that began before the first row cannot be simulated: the first 1.5 s of a segment are left out.
+g and h are errors of the loop's gain and speed, drawn to zero where little was commanded: battery, payload and new
+propellers change them slowly and for every manoeuvre alike. The filtered rates hold nothing above some 8 Hz, so all of
+this runs on every tenth row at 1 kHz. A step of commanded motion that began before the first row cannot be simulated:
+the first 1.5 s of a segment are left out.
 """
 
 import math
@@ -301,6 +300,7 @@ class RotorSignature(Monitor[RotorSignatureSpec]):
     least_hz = 50.0  # METHOD section 4: below it the residual degrades
     why_hz = "{:.0f} Hz are needed, better 100"
     needs_layout = True
+    tick_s = SAMPLE_S
     spec_type = RotorSignatureSpec
     unit = "x healthy rms"
     feature = Feature.MOTION
@@ -316,7 +316,7 @@ class RotorSignature(Monitor[RotorSignatureSpec]):
     @classmethod
     def fit(cls, flights: Flights, context: LearnContext) -> tuple[RotorSignatureSpec, ...]:
         """Identify the healthy motion."""
-        layout, stride, dt_s = context.layout, max(1, round(SAMPLE_S / context.dt_s)), context.dt_s
+        layout, stride, dt_s = context.layout, cls.tick(context.dt_s), context.dt_s
         need_commanded(flights)
         if not any(of_each(flights, "felt z", lambda flight: any(map(_felt, flight)))):
             raise InputError("no accelerometer, which separates a rotor from its opposite")
@@ -329,10 +329,6 @@ class RotorSignature(Monitor[RotorSignatureSpec]):
         heave = _heave(pieces, period_s, context)
         motion = HealthyMotion(dt_s=dt_s, stride=stride, window=context.window, roll=roll, pitch=pitch, heave=heave)
         return (RotorSignatureSpec(layout=layout, motion=_with_variances(motion, samples)),)
-
-    def period_s(self, dt_s: float) -> float:
-        """Time between two samples [s]."""
-        return self.spec.motion.period_s
 
     def begin(self, dt_s: float) -> Begin:
         """No row yet; the window holds what healthy samples have on average."""

@@ -7,20 +7,18 @@ evidence, and it names the rotor (METHOD section 5). It does not show why.
     weight = 1/(1 + (max |g|/G)^2),        h = (-f_y, f_x)/9.81
 
 Air that comes from the side pulls at the vehicle and tips its rotors' discs, both in proportion to its speed (Leishman,
-Principles of Helicopter Aerodynamics, ch. 4): the pull h is what the accelerometer feels along the discs, in a steady
-wind the tangent of the lean. So k1 and k2 tell wind and flight from a weak rotor, where the lean of a vehicle that
-speeds up cannot: of a real quadcopter that flies about, the 5 s means of pitch scatter by 0.062 of hover, and by 0.015
-without k2 h2. Without an accelerometer the lean is in place of h, k is zero, and their errors stay those of the prior.
-They nearly do in calm air: what is no larger than the trim's floor may go with h in all ticks (`fitting.updated`).
+Principles of Helicopter Aerodynamics, ch. 4). The accelerometer feels the pull h along the discs; without one the
+commanded lean is in its place, k is zero, and the errors of k stay those of the prior. In calm air what is no larger
+than the trim's floor may go with h in all ticks (`fitting.updated`).
 
-A vehicle whose nose turns has its rotors commanded apart: a steady turn against the drag of its rotation (b1), the
-start and the stop of a turn for its inertia (b2) and for that of the rotors, whose change of speed turns the vehicle
-too (b3, never negative; a reaction wheel). A tick has five parts of 0.1 s, and g is taken off each of them: means of
-both sides obey the law however fast the nose turns, medians would not. The median then hides a few wild samples. The
-three are fitted to the ticks of the healthy flights, and to their means, by least squares about a physical prior; their
-covariance P says what the trim cannot tell (`TrimMonitor.blindness`). Without b3 the 5 s means of a real ArduCopter in
-the loop that turns scatter by 0.005, with it by 0.0004. The law errs by a share of g, so a window is the mean of its
-ticks weighted as above, where the tick before counts too, for rotors lag.
+A vehicle whose nose turns has its rotors commanded apart: against the drag of its rotation (b1), for its inertia (b2)
+and for that of the rotors, whose change of speed turns the vehicle too (b3, never negative). The three are fitted to
+the ticks of healthy flights, and to their means, by least squares about a physical prior; their covariance P says what
+the trim cannot tell (`TrimMonitor.blindness`). The law errs by a share of g, so a window is the mean of its ticks
+weighted as above, where the tick before counts too, for rotors lag.
+
+A tick has five parts of 0.1 s, and g is taken off each: means obey the law however fast the nose turns, medians do not.
+The median over the parts then hides a few wild samples.
 """
 
 import math
@@ -346,6 +344,7 @@ class TrimMonitor(Monitor[Spec]):
     # trim towards rotors of the other sense, a lead of 0.04: no smaller unit tells rotors apart (our choice).
     evidence = RotorEvidence(10.0, relative=True, least=0.04, direct=False)
     needs_layout = True
+    tick_s = TICK_S
     unit = "fraction of hover"
     reach = MOST_RISE
     drag: ClassVar[float] = 0.0  # what drag changes by apart from thrust, over the rise (sd)
@@ -356,7 +355,6 @@ class TrimMonitor(Monitor[Spec]):
         self.signals = trims.SIGNALS[spec.source] | ({Signal.SPECIFIC_FORCE} if spec.felt else set())
         own = slice(0, spec.layout.rotors)  # those that move a rotor
         self.takes = {Signal.ACTUATOR: own, Signal.SPECIFIC_FORCE: trims.ALONG_DISCS}
-        self.memory_s = spec.window_s + TICK_S
 
     @classmethod
     def fit(cls, flights: Flights, context: LearnContext) -> tuple[Spec, ...]:
@@ -442,9 +440,10 @@ class TrimMonitor(Monitor[Spec]):
         parts = np.concatenate(found, axis=1)
         return three(np.median(parts, axis=1)) if parts.shape[1] * PART_S >= spec.window_s else ()
 
-    def period_s(self, dt_s: float) -> float:
-        """A tick [s]."""
-        return math.prod(_tick_shape(dt_s)) * dt_s
+    @classmethod
+    def tick(cls, dt_s: float) -> int:
+        """Of whole parts."""
+        return math.prod(_tick_shape(dt_s))
 
     def blindness(self, threshold: float) -> str:
         """The least loss of one rotor; and the direction that errors of the law of turns cannot be told from.
