@@ -14,7 +14,7 @@ from mavdiag.errors import IdentificationError
 from mavdiag.jit import cached, jit
 from mavdiag.monitors.base import Flights
 from mavdiag.monitors.spec import Positive, Span, spec
-from mavdiag.rows.block import COVERED, SOUND, TRACE, Floats, Ints
+from mavdiag.rows.block import SOUND, TRACE, Floats, Ints
 from mavdiag.telemetry import FloatArray, Three
 
 MEMORY_S = 30.0  # of the reference (our choice)
@@ -104,7 +104,6 @@ def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats
     while begin < x.shape[1]:
         begin, ended = trim.take_rows(par, mem, x, begin)
         if ended:
-            trim.take_tick(par, mem, mem[trim.KNOWN] > 0.5 and x[COVERED, begin - 1] > 0.5)
             trim.write(par, mem, shift, _take_window(par, mem, shift, before), out, rotors, k)
             at[k] = begin - 1 - first
             k += 1
