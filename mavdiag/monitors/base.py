@@ -1,8 +1,4 @@
-"""What a monitor is: one file in this folder, and one line in `mavdiag.monitors.MONITORS`.
-
-A monitor turns rows into a statistic. Everything that the rest of the project must know about it stands in its class;
-the registry builds from that the baseline's schema, the chain, learning, isolation, the texts and the contract tests.
-"""
+"""What a monitor is: it turns rows into a statistic, and its class says all that the rest of the project must know."""
 
 import itertools
 import math
@@ -68,17 +64,13 @@ class LearnContext:
 
 @dataclass(frozen=True, slots=True)
 class RotorEvidence:
-    """How a monitor's `rotors` count when a rotor is named.
-
-    Evidence that is not direct counts only while no direct monitor above its threshold is sure of a rotor: a blade with
-    more drag has the others commanded more.
-    """
+    """How a monitor's `rotors` count when a rotor is named."""
 
     weight: float  # logits per unit of evidence
     relative: bool = False  # the evidence counts in units of the monitor's threshold
     least: float = 0.0  # the smallest such unit
     arms: tuple[Motor, ...] = ()  # what is named, and the evidence is the highest of its rotors; empty: each rotor
-    direct: bool = True  # it observes the damaged rotor itself
+    direct: bool = True  # it observes the rotor itself; else it counts only while no direct one is sure of a rotor
 
 
 class FaultKind(StrEnum):
@@ -96,7 +88,7 @@ class FaultKind(StrEnum):
 
 
 class Feature:
-    """Names of the figures that grading a fault needs; a monitor's `feature` names which its `level` gives."""
+    """Figures that grading a fault needs."""
 
     UNBALANCE = "unbalance"  # g mm
     MOTION = "motion"  # rad/s
@@ -106,9 +98,8 @@ class Feature:
 class Loop(Protocol):
     """A compiled monitor: columns from `first` on in, values out; returns how many.
 
-    par: what its fit says. mem: what it remembers, changed in place. x: as `rows.block.VALID` has it, with `first`
-    columns of before in front; from `known` on rates are there. out: (4, n), see `VALUE`. rotors: (n, R). at: (n,)
-    number of the row, or of the rates, that each value is about.
+    par, mem: see `Begin`; mem is changed in place. x: see `rows.block.VALID`; from column `known` on rates are there.
+    out: (4, n), see `VALUE`. rotors: (n, R). at: (n,) number of the row, or of the rates, that each value is about.
     """
 
     def __call__(
@@ -249,8 +240,7 @@ def walk(
 ) -> Iterator[Iterator[tuple[Statistic, FloatArray]]]:
     """Of each piece of a flight what each monitor judges (`Monitor.judge`), from a fresh state at every segment.
 
-    One monitor's answer is made as it is taken, so that few of them and one piece of rows are in memory. Rows with so
-    much room in front stay where they are.
+    One monitor's answer is made as it is taken, so that few of them and one piece of rows are in memory.
     """
     begun, past = list[Begin](), no_past(0)
     for begins, rows in parted(flight):

@@ -276,9 +276,8 @@ class RotorSignature(Monitor[RotorSignatureSpec]):
         statistic = max_j A_j / max(1, B_j) exp(2 S_j)
 
     A is about 0.7 to 1.5 in healthy flight, S below 0.3; a wandering rotor has S near 0.7. Gusts raise A and B
-    together, so a fault must be larger to be seen in wind. It is METHOD section 4's E > .. and S > .. as one figure.
-    Healthy values stand for the rows of a window that are missing or not valid. `level` is the arm's rms over 3 s
-    before normalising [rad/s], which grades the damage; `rotors` are the S_j.
+    together. It is METHOD section 4's E > .. and S > .. as one figure. Healthy values stand for the rows of a window
+    that are missing or not valid. `level`: the arm's rms over 3 s before normalising [rad/s]; `rotors`: the S_j.
 
     Warm-up: half an SG window, 1.5 s to settle, then 3 s unbroken and valid. Latency: 50 ms and about 0.4 s for a
     thrust that wanders by 6 %, 1 s for 3 %. False alarms: jolts beside the centre; sharp stops with an unlearnt load, a
@@ -291,7 +290,6 @@ class RotorSignature(Monitor[RotorSignatureSpec]):
     observes = "unexplained motion along the arm of one rotor"
     phrase = "thrust unsteady {times}x"
     needs = frozenset({Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT, Signal.SPECIFIC_FORCE, Signal.THRUST_SETPOINT})
-    # Throttle: a battery that empties takes gain from what moves the vehicle, and more is commanded.
     depends = frozenset(Condition) - {Condition.TILT, Condition.YAW_ACCELERATION}
     # A jolt that is no fault (a payload taken up beside the centre) reaches 3.6 in emulated flights, a circle after
     # hovers 3.5, which few healthy flights show (our choice).

@@ -59,8 +59,8 @@ APART = 7e-4  # of the speed: by which flights of other days differ, and least s
 FLOOR = 2e-4  # of the speed: least scatter that is believed, a seventh of a step of 14 rpm at 10,000 (our choice)
 COLUMNS = 2  # of x
 # Places in the parameters: rotors, rows of a tick and of an end of it, row period, ticks of a window, spread, b, P; of
-# each rotor a, x0, s. And in the memory: rows of the tick, known ones, usable ticks in a row, ticks so far; sums of the tick: of each rotor
-# u, u at its first end and at its last, w; r; of the window's ticks each rotor's residual, how far x is from x0, and s.
+# each rotor a, x0, s. In the memory: rows of the tick, known ones, usable ticks in a row, ticks so far; sums of the
+# tick: of each rotor u, u at its first end and its last, w; r; of the window's ticks each rotor's residual, x - x0, s.
 ROTORS, ROWS, ENDS, DT, WINDOW, SPREAD, LAWS, ERRORS, EACH = *range(7), 8, 12
 PULSE = 3.0  # mean slope of a parabola that begins and ends at 0, times its length, over its mean
 OF_ROTOR, EACH_OF = 2 + COLUMNS, 2 + COLUMNS  # of a tick y, x and s

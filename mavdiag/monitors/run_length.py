@@ -2,8 +2,8 @@
 
     y(t) = b_0 u(t) + b_1 u(t-1) + .. - a_1 y(t-1) - ..          no measured output enters the simulation
 
-so a fault cannot explain itself away as it does in a one-step prediction. A segment starts the model from the measured
-rate at rest in it; what that start gets wrong has died out by the end of the segment's blanked first second.
+A segment starts the model from the measured rate at rest in it; what that gets wrong dies out in the blanked first
+second.
 """
 
 import itertools
@@ -31,9 +31,7 @@ from mavdiag.telemetry import Axis, BoolArray, FloatArray, Signal
 TRAIN_ROWS = 60_000  # one minute at 1 kHz: beyond it a model's standard errors no longer matter (our choice)
 SETTLE_S = 1.0  # of each stretch that does not count in the figures of fit: it may begin in motion (our choice)
 MIN_PIECE_S = 2.0  # shorter valid stretches do not train a model (our choice)
-# rad/s, which RotorPy's gusts of 1 m/s make of a vehicle of 30 g (rms; our choice). CrazyPAD's flights show margins
-# of 0.05 to 0.065, the thesis's plant of 0.045 to 0.05.
-LEAST_MARGIN = 0.02
+LEAST_MARGIN = 0.02  # rad/s, which RotorPy's gusts of 1 m/s make of a vehicle of 30 g (rms; our choice)
 # A rate that is followed for so long trains beside the flights: in a calm hover the command follows the vehicle, which
 # alone tells a gain of 0.1 or 1.6. It is about a hundredth of what one minute of squares tells (our choice).
 STEADY_RAD_S, STEADY_S = 0.2, 5.0

@@ -30,9 +30,8 @@ VERTICAL_S = 4.0  # of each of three means of the vertical acceleration (our cho
 LATE_S = 0.02  # by which an attitude may be older than the gyro: a period of 50 Hz (our choice)
 TURN_SHARE = 0.01  # of a turn that a healthy gyro may be wrong by, scale and cross-axis (IIM-42652 data sheet: 1 %)
 LEAST_ANGLE = 0.01  # rad: smallest healthy disagreement that is believed (our choice)
-# rad/s: change of a gyro's bias between flights that is no fault. The IIM-42652's data sheet has 0.005 deg/s a kelvin,
-# and electronics warm up by some 45 K after the power is on: 0.225 deg/s. At the threshold a bias of
-# 0.01 rad/s, which the data sheet allows at power-on (0.5 deg/s), is no fault. (45 K is an estimate.)
+# rad/s: change of a gyro's bias between flights that is no fault: 0.005 deg/s a kelvin (IIM-42652 data sheet), and 45 K
+# by which electronics warm up (estimate).
 USUAL_BIAS = 0.004
 LEAST_VERTICAL = 0.08  # m/s^2 (our choice)
 STEEP_RAD, FAST_RAD_S = 0.7, 6.0  # beyond it small angles do not hold, and an upset begins (our choice)

@@ -1,7 +1,4 @@
-"""The unbalance monitor: how much unbalance turns with the rotors, and on which of them it sits.
-
-An unbalanced rotor shakes the airframe once per revolution, with a force U Omega^2 (T 3.1.1).
-"""
+"""The unbalance monitor: an unbalanced rotor shakes the airframe once per revolution, by U Omega^2 (T 3.1.1)."""
 
 import math
 from collections.abc import Sequence
@@ -207,7 +204,7 @@ class Unbalance(Monitor[UnbalanceSpec]):
     `rotors` give its place, in -1..1. With the angle of rotor j's force turning by s_j (+1 clockwise from above):
         cov(gz, ax) ~ -s_j x_j,  cov(gz, ay) ~ -s_j y_j,  mean(ax(t-1) ay(t) - ay(t-1) ax(t)) ~ s_j sin(Omega dt)
     after subtracting the airframe's own healthy values. The third, the sense of turning, separates neighbours even if
-    gyro and accelerometer are filtered differently by a millisecond, which turns the first two by 60 degrees.
+    gyro and accelerometer are filtered differently, by a millisecond.
 
     Warm-up: 60 ms of filter, half a second, unbroken and valid. Latency: 30 ms and (threshold^2 - healthy^2)/fault^2 of
     the window. False alarms: another session's propellers. Blind spots: cracks (0.22 g mm is what a healthy rotor may
