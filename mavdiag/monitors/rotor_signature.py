@@ -397,9 +397,8 @@ def _with_variances(motion: HealthyMotion, samples: Sequence[FloatArray]) -> Hea
     """The motion with the variances k0 and k1 of its residuals. Raises IdentificationError without a live sensor."""
     for follows in (False, True):  # how far the gain is followed depends on the variance at rest
         found = [residuals_of(motion, one, follows) for one in samples]
-        none = np.empty((3, 0))
-        squares = np.concatenate([none, *(np.square(np.compress(one.valid, one.r.T, axis=1)) for one in found)], axis=1)
-        busy = np.concatenate([none, *(np.compress(one.valid, one.busy.T, axis=1) for one in found)], axis=1)
+        squares = np.concatenate([np.square(np.compress(one.valid, one.r.T, axis=1)) for one in found], axis=1)
+        busy = np.concatenate([np.compress(one.valid, one.busy.T, axis=1) for one in found], axis=1)
         if not squares.any(axis=1).all():
             raise IdentificationError("no settled flight with a live gyro and accelerometer; fly longer than 3 s")
         k = [variance_law(*channel) for channel in zip(squares, busy, strict=True)]

@@ -221,7 +221,7 @@ def _again(par: Floats, mem: Floats, ticks: Floats) -> Floats:
     out, rotors = np.empty((col.LEVEL + 1, 1)), np.empty((len(ticks) + 1, n))
     for tick in ticks:
         if tick[OF_ROTOR * n + 2] == 0.0:  # a segment begins
-            mem[RUN] = 0.0
+            mem[:] = 0.0
         _take_tick(par, mem, tick, True, scratch, out, rotors[found:], 0)
         found += int(out[col.SOUND, 0])
     return rotors[:found]
@@ -273,8 +273,8 @@ class RotorSpeed(Monitor[RotorSpeedSpec]):
         no = ((0.0, 0.0), (0.0, 0.0))
         still = RotorSpeedSpec(layout=layout, mean=(0.0,) * n, about=((0.0, 0.0),) * n, errors=no, spread=FLOOR)
         ticks = of_each(flights, (cls.name, layout), lambda flight: _ticks(cls(still), flight))
-        told = np.concatenate([np.empty((0, OF_ROTOR * n + TOLD)), *ticks])
-        told = told[told[:, -2] > 0.5]
+        joined = np.concatenate([np.empty((0, OF_ROTOR * n + TOLD)), *ticks])
+        told = joined[joined[:, -2] > 0.5]
         if not len(told):
             raise InputError(f"it needs the outputs and the ESC telemetry of {n} rotors")
         if np.median(np.abs(np.exp(told[:, -TOLD]) / MADE_UP_RAD_S - 1.0)) < MADE_UP:
@@ -289,10 +289,8 @@ class RotorSpeed(Monitor[RotorSpeedSpec]):
         law, P = held_law(y, np.column_stack(x), *known, FLOOR, 1, max(SCATTER, beyond))
         still = replace(still, law=_pair(law), errors=(_pair(P[0]), _pair(P[1])))
         learnt = _at(still, means.mean(axis=0))
-        begun = (cls(replace(learnt, spread=1.0)).begin(context.dt_s) for _ in ticks)
-        found = np.concatenate(
-            [_again(one.par, one.mem, flight).ravel() for one, flight in zip(begun, ticks, strict=True)]
-        )
+        begun = cls(replace(learnt, spread=1.0)).begin(context.dt_s)
+        found = _again(begun.par, begun.mem, joined)
         if not len(found):
             raise IdentificationError(f"no unbroken {WINDOW_S:g} s of flight with rotor speeds; fly longer")
         return (replace(learnt, spread=float(math.hypot(np.sqrt(np.mean(np.square(found))), APART))),)
@@ -319,8 +317,8 @@ class RotorSpeed(Monitor[RotorSpeedSpec]):
 
     def begin(self, dt_s: float) -> Begin:
         """No row yet."""
-        spec, n, rows, window = self.spec, self.rotors, self.tick(dt_s), round(self.spec.window_s / self.period_s(dt_s))
-        window = max(3, window)
+        spec, n, rows = self.spec, self.rotors, self.tick(dt_s)
+        window = max(3, round(spec.window_s / self.period_s(dt_s)))
         head = [n, rows, max(1, rows // END), dt_s, window, spec.spread, *spec.law, *np.ravel(spec.errors)]
         each = np.column_stack((spec.mean, np.array(spec.about), np.sign(spec.layout.unmixing[2])))
         return Begin(np.array([*head, *each.ravel()]), np.zeros(SUMS + 4 * n + 1 + OF_ROTOR * window * n))

@@ -470,9 +470,9 @@ class RotorTrim(TrimMonitor[RotorTrimSpec]):
         rotor = argmax_j a_j |c_j|,    statistic = a_rotor / sqrt(1 + max(0, 9 P_11 (r - r0)^2 - s^2)/sd_yaw^2)
 
     A payload, a weak battery or a shifted centre of mass move roll and pitch, not yaw; these have at least three times
-    yaw's spread, so the evidence is mostly yaw. To their spread the error of k times the change of the pull is added in
-    squares, but not where a rotor is named. r - r0: yaw rate of the same 5 s less that of the healthy flights, P_11:
-    variance of b1, s: what the yaw trim differs by on other days anyway.
+    yaw's spread, so the evidence is mostly yaw, and they settle which rotor it is. To their spread the error of k times
+    the change of the pull is added in squares, but not where a rotor is named. r - r0: yaw rate of the same 5 s less
+    that of the healthy flights, P_11: variance of b1, s: what the yaw trim differs by on other days anyway.
 
     Warm-up: 5 s of unbroken valid flight. Latency: up to 5 s. False alarms: a change of propellers or of the centre of
     mass; two flights from two sessions are the worst basis. Blind spots: hops shorter than 5 s; vibration without loss
