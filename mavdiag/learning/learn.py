@@ -43,9 +43,8 @@ from mavdiag.learning.suspicions import courses, grade_of, least_damage, suspici
 from mavdiag.learning.teaching import one_vehicle, refuse, repeated, taught, turned, upsets
 from mavdiag.link.profiles import PROFILES
 from mavdiag.monitors import BY_NAME, by_name, monitor_of
-from mavdiag.monitors.base import FaultKind, Flights, LearnContext, Monitor
+from mavdiag.monitors.base import FaultKind, Flights, LearnContext, Monitor, walk
 from mavdiag.monitors.conditions import covered_by
-from mavdiag.monitors.fitting import judged_together
 from mavdiag.monitors.rotor_trim import RotorTrim
 from mavdiag.monitors.run_length import MarginRule, RunLength
 from mavdiag.printable import counted
@@ -256,8 +255,8 @@ def _fit_all(
 
 def _scores(monitors: Sequence[Monitor[Any]], flight: Sequence[Rows], number: int) -> list[Scores]:
     found: list[list[tuple[FloatArray, float]]] = [[] for _ in monitors]
-    for statistics in judged_together(monitors, flight):
-        for parts, one in zip(found, statistics, strict=True):
+    for judged in walk(monitors, flight):
+        for parts, (one, _) in zip(found, judged, strict=True):
             parts.append((one.value[one.valid], one.period_s))
     return [maxima(parts, number) for parts in found]
 

@@ -33,8 +33,8 @@ from mavdiag.errors import IdentificationError
 from mavdiag.learning.flights import LearntFlight
 from mavdiag.learning.teaching import Finding
 from mavdiag.monitors import monitor_of
+from mavdiag.monitors.base import walk
 from mavdiag.monitors.conditions import COUNT, bins_of
-from mavdiag.monitors.fitting import judged_together
 from mavdiag.rows.windows import window_rows
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray
 from mavdiag.thresholds.envelope import ORDER, RULES
@@ -103,8 +103,8 @@ def courses(specs: Sequence[Any], flights: Sequence[LearntFlight]) -> tuple[Cour
         ends_s = np.concatenate([np.empty(0), *(one.end_ns / NS_PER_S for one in bins)])
         values = np.concatenate([np.empty((0, COUNT)), *(one.values for one in bins), np.full((1, COUNT), np.nan)])
         parts: list[list[FloatArray]] = [[] for _ in used]  # time, value, rises of the first valid value of each second
-        for statistics in judged_together([monitor_of(spec) for spec in used], flight.rows):
-            for part, spec, one in zip(parts, used, statistics, strict=True):
+        for judged in walk([monitor_of(spec) for spec in used], flight.rows):
+            for part, spec, (one, _) in zip(parts, used, judged, strict=True):
                 at = np.flatnonzero(one.valid)
                 at = at[np.unique(one.t_ns[at] // NS_PER_S, return_index=True)[1]]
                 rises = one.rotors[at] if spec.kind in TRIMS else np.empty((len(at), 0))

@@ -1,8 +1,4 @@
-"""What a monitor is: one file in this folder, and one line in `mavdiag.monitors.MONITORS`.
-
-A monitor turns rows into a statistic. Everything that the rest of the project must know about it stands in its class;
-the registry builds from that the baseline's schema, the chain, learning, isolation, the texts and the contract tests.
-"""
+"""What a monitor is: it turns rows into a statistic, and its class says all that the rest of the project must know."""
 
 import itertools
 import math
@@ -68,17 +64,13 @@ class LearnContext:
 
 @dataclass(frozen=True, slots=True)
 class RotorEvidence:
-    """How a monitor's `rotors` count when a rotor is named.
-
-    Evidence that is not direct counts only while no direct monitor above its threshold is sure of a rotor: a blade with
-    more drag has the others commanded more.
-    """
+    """How a monitor's `rotors` count when a rotor is named."""
 
     weight: float  # logits per unit of evidence
     relative: bool = False  # the evidence counts in units of the monitor's threshold
     least: float = 0.0  # the smallest such unit
     arms: tuple[Motor, ...] = ()  # what is named, and the evidence is the highest of its rotors; empty: each rotor
-    direct: bool = True  # it observes the damaged rotor itself
+    direct: bool = True  # it observes the rotor itself; else it counts only while no direct one is sure of a rotor
 
 
 class FaultKind(StrEnum):
@@ -92,14 +84,11 @@ class FaultKind(StrEnum):
     @property
     def rank(self) -> int:
         """Place in that order."""
-        return _RANKS[self]
-
-
-_RANKS = {kind: rank for rank, kind in enumerate(FaultKind)}
+        return list(FaultKind).index(self)
 
 
 class Feature:
-    """Names of the figures that grading a fault needs; a monitor's `feature` names which its `level` gives."""
+    """Figures that grading a fault needs."""
 
     UNBALANCE = "unbalance"  # g mm
     MOTION = "motion"  # rad/s
@@ -109,9 +98,8 @@ class Feature:
 class Loop(Protocol):
     """A compiled monitor: columns from `first` on in, values out; returns how many.
 
-    par: what its fit says. mem: what it remembers, changed in place. x: as `rows.block.VALID` has it, with `first`
-    columns of before in front; from `known` on rates are there. out: (4, n), see `VALUE`. rotors: (n, R). at: (n,)
-    number of the row, or of the rates, that each value is about.
+    par, mem: see `Begin`; mem is changed in place. x: see `rows.block.VALID`; from column `known` on rates are there.
+    out: (4, n), see `VALUE`. rotors: (n, R). at: (n,) number of the row, or of the rates, that each value is about.
     """
 
     def __call__(
@@ -155,6 +143,7 @@ class Monitor(ABC, Generic[Spec]):
     feature: str | None = None  # what its level means for the fault, a name of `Feature`
     reach: float = math.inf  # what the statistic can come to; a threshold there would never be passed
     memory_s: float = 1.0  # how long what was flown stays in the statistic
+    tick_s: ClassVar[float] = 0.0  # of how much flight it makes one value; 0: of each row
     takes: Mapping[Signal, slice] = MappingProxyType({})  # which columns of a signal it takes, where not all
     axis: Axis | None = None  # the body axis that it is about
     reference: float = 0.0  # what a display compares it with; 0 if nothing
@@ -169,6 +158,7 @@ class Monitor(ABC, Generic[Spec]):
         self.spec, self.signals = spec, self.needs  # signals: that this fit rests on, where it chose between them
         self.rotors = 0 if layout is None else layout.rotors  # for how many it gives evidence
         self.delay_s = float(getattr(spec, "delay_s", 0.0))  # how much later than its time stamp a value is known
+        self.memory_s = max(self.memory_s, getattr(spec, "window_s", 0.0) + self.tick_s)
 
     @classmethod
     def need_stream(cls, rate_hz: float, imu_corner_hz: float | None = None, hover_rad_s: float | None = None) -> None:
@@ -207,17 +197,20 @@ class Monitor(ABC, Generic[Spec]):
         """What it does not notice at a threshold, in half a sentence; empty where nothing is to be said."""
         return ""
 
+    @classmethod
+    def tick(cls, dt_s: float) -> int:
+        """How many rows one value is about."""
+        return max(1, round(cls.tick_s / dt_s))
+
     def period_s(self, dt_s: float) -> float:
         """Span of flight that one value stands for [s], at a row period."""
-        return dt_s
+        return self.tick(dt_s) * dt_s
 
-    def judge(
-        self, par: FloatArray, mem: FloatArray, rows: Rows, columns: Columns, more: int = 0
-    ) -> tuple[Statistic, FloatArray]:
+    def judge(self, begun: Begin, rows: Rows, columns: Columns, more: int) -> tuple[Statistic, FloatArray]:
         """Its statistic of some rows, and what the loop wrote, with so many inner figures, (4 + more, k)."""
         n = len(rows.block)
         out, rotors, at = np.empty((4 + more, n)), np.empty((n, self.rotors)), np.empty(n, dtype=np.int64)
-        count = self.run(par, mem, columns.x, columns.first, columns.known, out, rotors, at)
+        count = self.run(begun.par, begun.mem, columns.x, columns.first, columns.known, out, rotors, at)
         found = out[:, :count], rotors[:count], at[:count]
         if 2 * count < n:  # a value now and then does not keep the room of all rows
             found = (out[:, :count].copy(), rotors[:count].copy(), at[:count].copy())
@@ -247,8 +240,7 @@ def walk(
 ) -> Iterator[Iterator[tuple[Statistic, FloatArray]]]:
     """Of each piece of a flight what each monitor judges (`Monitor.judge`), from a fresh state at every segment.
 
-    One monitor's answer is made as it is taken, so that few of them and one piece of rows are in memory. Rows with so
-    much room in front stay where they are.
+    One monitor's answer is made as it is taken, so that few of them and one piece of rows are in memory.
     """
     begun, past = list[Begin](), no_past(0)
     for begins, rows in parted(flight):
@@ -257,12 +249,5 @@ def walk(
             past = no_past(max([ROOM, *(one.back for one in begun)]))
         columns = columns_of(rows, past)
         past = columns.past
-        yield _judged(monitors, begun, rows, columns, more)
+        yield (monitor.judge(one, rows, columns, more) for monitor, one in zip(monitors, begun, strict=True))
         del rows, columns
-
-
-def _judged(
-    monitors: Sequence[Monitor[Any]], begun: Sequence[Begin], rows: Rows, columns: Columns, more: int
-) -> Iterator[tuple[Statistic, FloatArray]]:
-    for monitor, one in zip(monitors, begun, strict=True):
-        yield monitor.judge(one.par, one.mem, rows, columns, more)

@@ -1,14 +1,12 @@
 """The conditions of flight (`rows.conditions`) from the columns of rows: a running figure like a monitor's.
 
 Rows are put into the bins of their times as they come. The rates of a bin come half a window later; with the first rate
-of the next one a bin is whole. What is commanded counts from the rate on that shows it: a step of the set-points would
-else be judged until its bin is whole.
+of the next one a bin is whole. What is commanded counts from the rate on that shows it.
 """
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -155,8 +153,7 @@ def _measured(
     return take_rows(mem, x, first, known, times, (end_ns, values), np.empty((3, len(times[1]))), 0)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Conditions:
+class Conditions(NamedTuple):
     """Whole bins. end_ns: (n,) where they end. values: (n, COUNT) in the order of `Condition`; nan where unknown."""
 
     end_ns: IntArray

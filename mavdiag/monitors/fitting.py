@@ -1,6 +1,6 @@
 """What fits to healthy flights share: answers that a flight keeps, traces, and how large a residual may be."""
 
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
@@ -9,8 +9,8 @@ from mavdiag.errors import InputError
 from mavdiag.identify.arx import filtered
 from mavdiag.jit import cached
 from mavdiag.monitors.base import Flights, Monitor, walk
+from mavdiag.rows.block import TRACE
 from mavdiag.rows.front import Rows
-from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import FloatArray, Three
 from mavdiag.thresholds.heldout import Looks
 
@@ -32,14 +32,10 @@ def need_commanded(flights: Flights) -> None:
         raise InputError("no flight with a gyro and an attitude set-point")
 
 
-def traced(monitor: Monitor[Any], flight: Sequence[Rows], more: int) -> Iterator[FloatArray]:
-    """What `run` writes of each piece, with so many inner figures, (4 + more, k)."""
-    return (out for ((_, out),) in walk([monitor], flight, more))
-
-
-def judged_together(monitors: Sequence[Monitor[Any]], flight: Sequence[Rows]) -> Iterator[Iterator[Statistic]]:
-    """Of each piece of a flight the statistic of each monitor, from a fresh state at every segment."""
-    return ((statistic for statistic, _ in found) for found in walk(monitors, flight))
+def traced(monitor: Monitor[Any], flight: Sequence[Rows], more: int) -> FloatArray:
+    """What `run` writes of a flight, with so many inner figures, (4 + more, k)."""
+    pieces = (out for ((_, out),) in walk([monitor], flight, more))
+    return np.concatenate([np.empty((TRACE + more, 0)), *pieces], axis=1)
 
 
 def smoothed(x: FloatArray, alpha: float, start: FloatArray | None = None) -> FloatArray:

@@ -1,7 +1,4 @@
-"""The innovation monitor: how badly one step ahead of the gyro is predicted, against healthy flight.
-
-The prediction follows the measured rate, so what is left is what is new in each sample: an upset, a rough rotor.
-"""
+"""The innovation monitor: how badly one step ahead of the gyro is predicted, against healthy flight."""
 
 import math
 from collections.abc import Iterable
@@ -28,7 +25,7 @@ WINDOW_S = 1.0  # our choice; 0.7 to 1.3 s change no verdict
 SLOW_S = 0.016  # memory of the mean error: what changes below 10 Hz is no news, for gusts make it (our choice)
 GUST_RAD_S, GUST_S = 0.05, 0.2  # rms and memory of the rate that gusts make (our choice, after RotorPy's of 0.3 m/s)
 # rad/s by which a command is wrong (our choice; 0.0003 to 0.003 answer alike). Else a calm command, which is smooth, is
-# fitted best by 43 times its third differences, which gusts make large: a fault of a healthy vehicle of 30 g (RotorPy).
+# fitted best by its third differences, which gusts make large.
 ROUNDED_RAD_S = 0.001
 MIN_ROWS = 500  # 60 a parameter (our choice)
 TRAIN_ROWS = 120_000  # more of it no longer changes the coefficients (our choice)
@@ -125,13 +122,11 @@ class Innovation(Monitor[InnovationSpec]):
         z(t) = (e(t) - EMA_16ms(e)(t - 1)) / sqrt(k0 + k1 EMA_0.35s(u^2)(t))
 
     u: commanded rate, y: raw gyro less its healthy bias, one ARX(4, 4, 1) by least squares for each axis. Of what z^2
-    is beyond 36, in n rows of the second, the share 1 - 7/n counts: a glitch of three samples spoils 7 rows, and the
-    statistic has no step that few flights could not foretell. Rows that repeat or rest on lost samples are left out.
-    Gusts move e below 10 Hz, and no calm flight tells how far: what the errors before had on the mean is no news.
-    Without a filter in the stream A and B are fitted to the gyro as it is, and with what is fast in it shifted by 6 and
-    12 % of a rotor's frequency: a folded line moves with a load, so that 15 % of payload at 100 Hz made 1.6 of 1.
-    In calm air u alone says where y is, and A, B that fit it best are wrong in gusts (RotorPy's of 1 m/s: 4 times the
-    threshold). So as many rows are added in which y moves as gusts move it, and u does not, and u is wrong by 1 mrad/s.
+    is beyond 36, in n rows of the second, the share 1 - 7/n counts: a glitch of three samples spoils 7 rows. Rows that
+    repeat or rest on lost samples are left out. Gusts move e below 10 Hz: what the errors before had on the mean is no
+    news. Without a filter in the stream A and B are fitted to the gyro as it is, and with what is fast in it shifted by
+    6 and 12 % of a rotor's frequency, for a folded line moves with a load. In calm air u alone says where y is, and A,
+    B that fit it best are wrong in gusts: as many rows are added in which y moves as gusts move it (`_unseen`).
 
     Warm-up: half an SG window, 4 rows and 1 s; after a gap of less than a second only the first two. Latency: half an
     SG window and up to 1 s. False alarms: aerobatics and storms that the healthy flights lacked. Blind spots: a weak

@@ -6,15 +6,14 @@ then grows along one diagonal, in step with the vertical acceleration:
     r_roll, r_pitch = y - y_sim                  free run of a closed-loop ARX model on the commanded rate (T 5.5)
     r_heave         = a_z - a_sim                the same on the commanded thrust
     r  <- r - EMA_0.5s(r)                        from the first known r on; slow wind and trim are no fault
-    r  <- r - g f - h df/dt                      f: y_sim without its slow part; g, h follow the last 10 s
+    r  <- r - g f - h df/dt                      f: y_sim without its slow part; g, h: least squares of the last 10 s
     n   = r / sqrt(k0 + k1 EMA_0.35s(u^2))       u: what was commanded; a sharp manoeuvre may leave more (METHOD 4)
     n  <- clip(n, +-4 s)                         s^2 = max(1, EMA_10s(n^2)): a jolt counts little, unrest in full
 
-g is an error of the loop's gain and h one of its speed: battery, payload and new propellers change them slowly and for
-every manoeuvre alike. They are the least-squares fit to the last 10 s, drawn to zero where little was commanded.
-
-The filtered rates hold nothing above some 8 Hz, so all of this runs on every tenth row at 1 kHz. A step of commanded
-motion that began before the first row cannot be simulated: the first 1.5 s of a segment are left out.
+g and h are errors of the loop's gain and speed, drawn to zero where little was commanded: battery, payload and new
+propellers change them slowly and for every manoeuvre alike. The filtered rates hold nothing above some 8 Hz, so all of
+this runs on every tenth row at 1 kHz. A step of commanded motion that began before the first row cannot be simulated:
+the first 1.5 s of a segment are left out.
 """
 
 import math
@@ -277,9 +276,8 @@ class RotorSignature(Monitor[RotorSignatureSpec]):
         statistic = max_j A_j / max(1, B_j) exp(2 S_j)
 
     A is about 0.7 to 1.5 in healthy flight, S below 0.3; a wandering rotor has S near 0.7. Gusts raise A and B
-    together, so a fault must be larger to be seen in wind. It is METHOD section 4's E > .. and S > .. as one figure.
-    Healthy values stand for the rows of a window that are missing or not valid. `level` is the arm's rms over 3 s
-    before normalising [rad/s], which grades the damage; `rotors` are the S_j.
+    together. It is METHOD section 4's E > .. and S > .. as one figure. Healthy values stand for the rows of a window
+    that are missing or not valid. `level`: the arm's rms over 3 s before normalising [rad/s]; `rotors`: the S_j.
 
     Warm-up: half an SG window, 1.5 s to settle, then 3 s unbroken and valid. Latency: 50 ms and about 0.4 s for a
     thrust that wanders by 6 %, 1 s for 3 %. False alarms: jolts beside the centre; sharp stops with an unlearnt load, a
@@ -292,7 +290,6 @@ class RotorSignature(Monitor[RotorSignatureSpec]):
     observes = "unexplained motion along the arm of one rotor"
     phrase = "thrust unsteady {times}x"
     needs = frozenset({Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT, Signal.SPECIFIC_FORCE, Signal.THRUST_SETPOINT})
-    # Throttle: a battery that empties takes gain from what moves the vehicle, and more is commanded.
     depends = frozenset(Condition) - {Condition.TILT, Condition.YAW_ACCELERATION}
     # A jolt that is no fault (a payload taken up beside the centre) reaches 3.6 in emulated flights, a circle after
     # hovers 3.5, which few healthy flights show (our choice).
@@ -301,6 +298,7 @@ class RotorSignature(Monitor[RotorSignatureSpec]):
     least_hz = 50.0  # METHOD section 4: below it the residual degrades
     why_hz = "{:.0f} Hz are needed, better 100"
     needs_layout = True
+    tick_s = SAMPLE_S
     spec_type = RotorSignatureSpec
     unit = "x healthy rms"
     feature = Feature.MOTION
@@ -316,7 +314,7 @@ class RotorSignature(Monitor[RotorSignatureSpec]):
     @classmethod
     def fit(cls, flights: Flights, context: LearnContext) -> tuple[RotorSignatureSpec, ...]:
         """Identify the healthy motion."""
-        layout, stride, dt_s = context.layout, max(1, round(SAMPLE_S / context.dt_s)), context.dt_s
+        layout, stride, dt_s = context.layout, cls.tick(context.dt_s), context.dt_s
         need_commanded(flights)
         if not any(of_each(flights, "felt z", lambda flight: any(map(_felt, flight)))):
             raise InputError("no accelerometer, which separates a rotor from its opposite")
@@ -329,10 +327,6 @@ class RotorSignature(Monitor[RotorSignatureSpec]):
         heave = _heave(pieces, period_s, context)
         motion = HealthyMotion(dt_s=dt_s, stride=stride, window=context.window, roll=roll, pitch=pitch, heave=heave)
         return (RotorSignatureSpec(layout=layout, motion=_with_variances(motion, samples)),)
-
-    def period_s(self, dt_s: float) -> float:
-        """Time between two samples [s]."""
-        return self.spec.motion.period_s
 
     def begin(self, dt_s: float) -> Begin:
         """No row yet; the window holds what healthy samples have on average."""
@@ -403,9 +397,8 @@ def _with_variances(motion: HealthyMotion, samples: Sequence[FloatArray]) -> Hea
     """The motion with the variances k0 and k1 of its residuals. Raises IdentificationError without a live sensor."""
     for follows in (False, True):  # how far the gain is followed depends on the variance at rest
         found = [residuals_of(motion, one, follows) for one in samples]
-        none = np.empty((3, 0))
-        squares = np.concatenate([none, *(np.square(np.compress(one.valid, one.r.T, axis=1)) for one in found)], axis=1)
-        busy = np.concatenate([none, *(np.compress(one.valid, one.busy.T, axis=1) for one in found)], axis=1)
+        squares = np.concatenate([np.square(np.compress(one.valid, one.r.T, axis=1)) for one in found], axis=1)
+        busy = np.concatenate([np.compress(one.valid, one.busy.T, axis=1) for one in found], axis=1)
         if not squares.any(axis=1).all():
             raise IdentificationError("no settled flight with a live gyro and accelerometer; fly longer than 3 s")
         k = [variance_law(*channel) for channel in zip(squares, busy, strict=True)]

@@ -12,17 +12,15 @@ command; one that is bent or fouled has more. The voltage is common to all rotor
     y_j = ln w_j - s_j c r/w - mean_k(..),    v_j = ln u_j - mean_k ln u_k,    x_j = (v_j, dv_j/dt),
     y_j = a_j + (x_j - x0_j)' b
 
-A rotor lags behind its command, and what an ESC tells behind the rotor: the mean of v(t - lag) over a tick is that of v
-less the lag times what v rises by from end to end of the tick, over its length. b is common to all rotors and fitted to
-ticks by least squares with a prior, and to the means of flights, between which other days lie; P is its covariance.
-Manoeuvres repeat, so what the law leaves beyond SCATTER, or as much, may go with one of x in all ticks: flights in
-which x varies and the law holds tell what wind makes of it, and others leave it open. Where a command changes swiftly
-the law is poor, so the means, a and x0 too, are weighted by 1/(1 + (s/SWIFT)^2): s is dv/dt and, for what rises and
-falls within the tick, the mean slope of a parabola, 3 (v - (v_first + v_last)/2)/T, together.
+dv/dt: a rotor lags behind its command, and its ESC behind the rotor; over a tick it is what v rises by from end to end.
+s_j c r/w: an ESC tells the speed against the frame, which turns at r; s_j = 1 of rotors that turn against it. c is
+2 e/(1 + e) of a motor by its voltage, 0.3, and 1 of one by its torque.
 
-An ESC tells the speed against the frame: at a yaw rate r more by s_j c r, s_j = 1 of rotors that turn against it. c is
-2 e/(1 + e) of a motor by its voltage, 0.3, and 1 of one by its torque. In the emulator it is 1.1 for another reason:
-the nose is measured every fourth step, and the outputs are sampled in step with that.
+b is common to all rotors and fitted to ticks by least squares with a prior, and to the means of flights, between which
+other days lie; P is its covariance. What the law leaves beyond SCATTER, or as much, may go with one of x in all ticks
+(`fitting.updated`). Where a command changes swiftly the law is poor, so all means are weighted by 1/(1 + (s/SWIFT)^2):
+s is dv/dt and, for what rises and falls within the tick, the mean slope of a parabola, 3 (v - (v_first + v_last)/2)/T,
+together.
 """
 
 import math
@@ -60,10 +58,10 @@ LAW, LAW_SD = np.array([0.85, 0.0]), np.array([0.15, 0.1])
 APART = 7e-4  # of the speed: by which flights of other days differ, and least spread (sd; `thresholds/priors.json`)
 FLOOR = 2e-4  # of the speed: least scatter that is believed, a seventh of a step of 14 rpm at 10,000 (our choice)
 COLUMNS = 2  # of x
-# Places in the parameters: rotors, rows of a tick, row period, ticks of a window, spread, b, P; of each rotor a, x0, s.
-# And in the memory: rows of the tick, known ones, usable ticks in a row, ticks so far; sums of the tick: of each rotor
-# u, u at its first end and at its last, w; r; of the window's ticks each rotor's residual, how far x is from x0, and s.
-ROTORS, ROWS, DT, WINDOW, SPREAD, LAWS, ERRORS, EACH = 0, 1, 2, 3, 4, 5, 7, 11
+# Places in the parameters: rotors, rows of a tick and of an end of it, row period, ticks of a window, spread, b, P; of
+# each rotor a, x0, s. In the memory: rows of the tick, known ones, usable ticks in a row, ticks so far; sums of the
+# tick: of each rotor u, u at its first end and its last, w; r; of the window's ticks each rotor's residual, x - x0, s.
+ROTORS, ROWS, ENDS, DT, WINDOW, SPREAD, LAWS, ERRORS, EACH = *range(7), 8, 12
 PULSE = 3.0  # mean slope of a parabola that begins and ends at 0, times its length, over its mean
 OF_ROTOR, EACH_OF = 2 + COLUMNS, 2 + COLUMNS  # of a tick y, x and s
 ROW, KNOWN, RUN, TICKS, SUMS = range(5)
@@ -93,12 +91,6 @@ class RotorSpeedSpec:
 
 
 @jit
-def _end(par: Floats) -> int:
-    """Rows of an end of a tick."""
-    return max(1, int(par[ROWS]) // END)
-
-
-@jit
 def _take_row(par: Floats, mem: Floats, x: Floats, i: int) -> bool:
     """Take a row; True where it completes a tick."""
     n = int(par[ROTORS])
@@ -111,12 +103,11 @@ def _take_row(par: Floats, mem: Floats, x: Floats, i: int) -> bool:
         known = known and u > MIN_OUTPUT and w > 0.0 and math.isfinite(u + w)
     if known:
         mem[KNOWN] += 1.0
-        end = _end(par)
         for j in range(n):
             mem[SUMS + j] += x[col.OUTPUTS + j, i]
-            if mem[ROW] < end:
+            if mem[ROW] < par[ENDS]:
                 mem[SUMS + n + j] += x[col.OUTPUTS + j, i]
-            if mem[ROW] >= par[ROWS] - end:
+            if mem[ROW] >= par[ROWS] - par[ENDS]:
                 mem[SUMS + 2 * n + j] += x[col.OUTPUTS + j, i]
             mem[SUMS + 3 * n + j] += x[col.SPEEDS + j, i]
         mem[SUMS + 4 * n] += x[col.RATE + 2, i]
@@ -131,11 +122,11 @@ def _take_row(par: Floats, mem: Floats, x: Floats, i: int) -> bool:
 def _find(par: Floats, mem: Floats, out: Floats) -> None:
     """y, x and s of each rotor from the sums of a whole tick, (n, OF_ROTOR); then mean ln w/u."""
     n, rows, speed = int(par[ROTORS]), int(par[ROWS]), 0.0
-    span_s = (rows - _end(par)) * par[DT]  # between the middles of the ends
+    span_s = (rows - par[ENDS]) * par[DT]  # between the middles of the ends
     for j in range(n):
         to = OF_ROTOR * j
         out[to], out[to + 1] = math.log(mem[SUMS + 3 * n + j] / rows), math.log(mem[SUMS + j] / rows)
-        first, last = math.log(mem[SUMS + n + j] / _end(par)), math.log(mem[SUMS + 2 * n + j] / _end(par))
+        first, last = math.log(mem[SUMS + n + j] / par[ENDS]), math.log(mem[SUMS + 2 * n + j] / par[ENDS])
         out[to + 2], out[to + 3] = (last - first) / span_s, PULSE * (out[to + 1] - (first + last) / 2) / span_s
         speed += mem[SUMS + 3 * n + j] / n
     for j in range(n):
@@ -230,7 +221,7 @@ def _again(par: Floats, mem: Floats, ticks: Floats) -> Floats:
     out, rotors = np.empty((col.LEVEL + 1, 1)), np.empty((len(ticks) + 1, n))
     for tick in ticks:
         if tick[OF_ROTOR * n + 2] == 0.0:  # a segment begins
-            mem[RUN] = 0.0
+            mem[:] = 0.0
         _take_tick(par, mem, tick, True, scratch, out, rotors[found:], 0)
         found += int(out[col.SOUND, 0])
     return rotors[:found]
@@ -262,6 +253,7 @@ class RotorSpeed(Monitor[RotorSpeedSpec]):
     evidence = RotorEvidence(10.0, relative=True)  # at the threshold the others are a third of it or less
     least_hz = 10.0  # of the rows; ESCs at 1 Hz are seen, at 10 Hz as ArduPilot and PX4 send them they scatter less
     needs_layout = True
+    tick_s = TICK_S
     spec_type = RotorSpeedSpec
     unit = "share of speed"
     run = staticmethod(run)
@@ -270,7 +262,6 @@ class RotorSpeed(Monitor[RotorSpeedSpec]):
         super().__init__(spec)
         own = slice(0, spec.layout.rotors)
         self.takes = MappingProxyType({Signal.ACTUATOR: own, Signal.ROTOR_SPEED: own})
-        self.memory_s = spec.window_s + TICK_S
 
     @classmethod
     def fit(cls, flights: Flights, context: LearnContext) -> tuple[RotorSpeedSpec, ...]:
@@ -282,8 +273,8 @@ class RotorSpeed(Monitor[RotorSpeedSpec]):
         no = ((0.0, 0.0), (0.0, 0.0))
         still = RotorSpeedSpec(layout=layout, mean=(0.0,) * n, about=((0.0, 0.0),) * n, errors=no, spread=FLOOR)
         ticks = of_each(flights, (cls.name, layout), lambda flight: _ticks(cls(still), flight))
-        told = np.concatenate([np.empty((0, OF_ROTOR * n + TOLD)), *ticks])
-        told = told[told[:, -2] > 0.5]
+        joined = np.concatenate([np.empty((0, OF_ROTOR * n + TOLD)), *ticks])
+        told = joined[joined[:, -2] > 0.5]
         if not len(told):
             raise InputError(f"it needs the outputs and the ESC telemetry of {n} rotors")
         if np.median(np.abs(np.exp(told[:, -TOLD]) / MADE_UP_RAD_S - 1.0)) < MADE_UP:
@@ -298,10 +289,8 @@ class RotorSpeed(Monitor[RotorSpeedSpec]):
         law, P = held_law(y, np.column_stack(x), *known, FLOOR, 1, max(SCATTER, beyond))
         still = replace(still, law=_pair(law), errors=(_pair(P[0]), _pair(P[1])))
         learnt = _at(still, means.mean(axis=0))
-        begun = (cls(replace(learnt, spread=1.0)).begin(context.dt_s) for _ in ticks)
-        found = np.concatenate(
-            [_again(one.par, one.mem, flight).ravel() for one, flight in zip(begun, ticks, strict=True)]
-        )
+        begun = cls(replace(learnt, spread=1.0)).begin(context.dt_s)
+        found = _again(begun.par, begun.mem, joined)
         if not len(found):
             raise IdentificationError(f"no unbroken {WINDOW_S:g} s of flight with rotor speeds; fly longer")
         return (replace(learnt, spread=float(math.hypot(np.sqrt(np.mean(np.square(found))), APART))),)
@@ -326,14 +315,11 @@ class RotorSpeed(Monitor[RotorSpeedSpec]):
             raise IdentificationError("no flight with the outputs and speeds of all rotors; fly longer")
         return np.array(means)
 
-    def period_s(self, dt_s: float) -> float:
-        """A tick [s]."""
-        return _tick(dt_s) * dt_s
-
     def begin(self, dt_s: float) -> Begin:
         """No row yet."""
-        spec, n, window = self.spec, self.rotors, max(3, round(self.spec.window_s / (_tick(dt_s) * dt_s)))
-        head = [n, _tick(dt_s), dt_s, window, spec.spread, *spec.law, *np.ravel(spec.errors)]
+        spec, n, rows = self.spec, self.rotors, self.tick(dt_s)
+        window = max(3, round(spec.window_s / self.period_s(dt_s)))
+        head = [n, rows, max(1, rows // END), dt_s, window, spec.spread, *spec.law, *np.ravel(spec.errors)]
         each = np.column_stack((spec.mean, np.array(spec.about), np.sign(spec.layout.unmixing[2])))
         return Begin(np.array([*head, *each.ravel()]), np.zeros(SUMS + 4 * n + 1 + OF_ROTOR * window * n))
 
@@ -353,14 +339,9 @@ def _pair(values: FloatArray) -> Pair:
     return float(values[0]), float(values[1])
 
 
-def _tick(dt_s: float) -> int:
-    return max(1, round(TICK_S / dt_s))
-
-
 def _ticks(monitor: RotorSpeed, flight: Sequence[Rows]) -> FloatArray:
     """The ticks of a flight with what `TOLD` says of them, (k, OF_ROTOR n + TOLD)."""
-    width = OF_ROTOR * monitor.rotors + TOLD
-    return np.concatenate([np.empty((0, width)), *(out[col.TRACE :].T for out in traced(monitor, flight, width))])
+    return traced(monitor, flight, OF_ROTOR * monitor.rotors + TOLD)[col.TRACE :].T
 
 
 def _usable(ticks: FloatArray, n: int) -> FloatArray:

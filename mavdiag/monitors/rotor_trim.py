@@ -7,20 +7,18 @@ evidence, and it names the rotor (METHOD section 5). It does not show why.
     weight = 1/(1 + (max |g|/G)^2),        h = (-f_y, f_x)/9.81
 
 Air that comes from the side pulls at the vehicle and tips its rotors' discs, both in proportion to its speed (Leishman,
-Principles of Helicopter Aerodynamics, ch. 4): the pull h is what the accelerometer feels along the discs, in a steady
-wind the tangent of the lean. So k1 and k2 tell wind and flight from a weak rotor, where the lean of a vehicle that
-speeds up cannot: of a real quadcopter that flies about, the 5 s means of pitch scatter by 0.062 of hover, and by 0.015
-without k2 h2. Without an accelerometer the lean is in place of h, k is zero, and their errors stay those of the prior.
-They nearly do in calm air: what is no larger than the trim's floor may go with h in all ticks (`fitting.updated`).
+Principles of Helicopter Aerodynamics, ch. 4). The accelerometer feels the pull h along the discs; without one the
+commanded lean is in its place, k is zero, and the errors of k stay those of the prior. In calm air what is no larger
+than the trim's floor may go with h in all ticks (`fitting.updated`).
 
-A vehicle whose nose turns has its rotors commanded apart: a steady turn against the drag of its rotation (b1), the
-start and the stop of a turn for its inertia (b2) and for that of the rotors, whose change of speed turns the vehicle
-too (b3, never negative; a reaction wheel). A tick has five parts of 0.1 s, and g is taken off each of them: means of
-both sides obey the law however fast the nose turns, medians would not. The median then hides a few wild samples. The
-three are fitted to the ticks of the healthy flights, and to their means, by least squares about a physical prior; their
-covariance P says what the trim cannot tell (`TrimMonitor.blindness`). Without b3 the 5 s means of a real ArduCopter in
-the loop that turns scatter by 0.005, with it by 0.0004. The law errs by a share of g, so a window is the mean of its
-ticks weighted as above, where the tick before counts too, for rotors lag.
+A vehicle whose nose turns has its rotors commanded apart: against the drag of its rotation (b1), for its inertia (b2)
+and for that of the rotors, whose change of speed turns the vehicle too (b3, never negative). The three are fitted to
+the ticks of healthy flights, and to their means, by least squares about a physical prior; their covariance P says what
+the trim cannot tell (`TrimMonitor.blindness`). The law errs by a share of g, so a window is the mean of its ticks
+weighted as above, where the tick before counts too, for rotors lag.
+
+A tick has five parts of 0.1 s, and g is taken off each: means obey the law however fast the nose turns, medians do not.
+The median over the parts then hides a few wild samples.
 """
 
 import math
@@ -48,8 +46,8 @@ from mavdiag.units import G
 MOST_RISE = 0.5  # of a rotor that lost more than a third of its thrust no output can answer (our choice)
 WINDOW_S = 5.0  # our choice; 3.5 s works as well on the recorded flights
 TICK_S, PART_S = 0.5, 0.1  # a value twice a second, of parts longer than a rotor's lag (our choices)
-# G, of hover: where a turn takes so much its tick counts half. In the loop the law errs by a fifth (ArduCopter) and a
-# sixth (PX4, which steps its heading) of what a turn takes: here by 0.004, as a tick scatters anyway (our choice).
+# G, of hover: where a turn takes so much its tick counts half. The law errs by a fifth of it (ArduCopter in the loop):
+# by 0.004, as a tick scatters anyway (our choice).
 TURN_TRIM = 0.02
 # What is held of b1 [1/(rad/s)], b2 [1/(rad/s^2)] and b3 [s] before any flight, and its standard deviation (our
 # choice). b2 is I_zz over weight and drag arm of the rotors, 0.04 for a QDrone 2 and an ArduCopter of 3 kg; b1 is 0.11
@@ -65,7 +63,7 @@ TORQUES, FELT, ROTORS, PARTS, ROWS, DT, WINDOW, PULL, TURN, ERROR, MEAN, ABOUT, 
 GAIN, OWN, DAYS, DRAG, CURVE, UNMIXING = 24, 27, 30, 31, 32, 33
 # And in the memory: parts of the tick, rows of the part, known ones of the tick, whether a trim changed, the first one;
 # usable ticks in a row, ticks so far, weight of the last; what a monitor has of its own; then the parts, the last two
-# of the tick before in front.
+# of the tick before in front, room for the median, and the ticks of two windows.
 PART, ROW, KNOWN, MOVED, FIRST, RUN, TICKS, WEIGHT, MINE, SUMS = *range(5), 7, 8, 9, 10, 22
 SUMMED, FIGURES = 7, 9  # of a part: trim, pull, yaw rate, mean output; slope of the rate and that of the yaw trim, less
 MEANS, RATE, LIFT = 7, 5, 6  # of a window: trim, pull, yaw rate and lift, ln of the mean output
@@ -128,12 +126,11 @@ def _trim(par: Floats, x: Floats, i: int) -> tuple[float, float, float, float]:
 
 @jit
 def take_rows(par: Floats, mem: Floats, x: Floats, begin: int) -> tuple[int, bool]:
-    """Take rows of one part; returns where the next one begins, and whether a tick is complete with them.
-
-    Its parts stand at `_found_at`, and `mem[KNOWN]` says if it is whole.
-    """
+    """Take rows of one part; returns where the next one begins, and whether they completed a tick."""
     stop = min(begin + int(par[ROWS] - mem[ROW]), x.shape[1])
     if mem[PART] == 0.0 and mem[ROW] == 0.0 and begin < stop:
+        for j in range(2 * FIGURES):
+            mem[SUMS + j] = mem[SUMS + FIGURES * int(par[PARTS]) + j]
         mem[KNOWN] = mem[MOVED] = 0.0
         mem[FIRST], mem[FIRST + 1], mem[FIRST + 2], _ = _trim(par, x, begin)
     _add_rows(par, mem, x, begin, stop)
@@ -144,15 +141,16 @@ def take_rows(par: Floats, mem: Floats, x: Floats, begin: int) -> tuple[int, boo
     if mem[PART] < par[PARTS]:
         return stop, False
     whole = mem[KNOWN] >= par[PARTS] * par[ROWS] and mem[MOVED] > 0.5
-    mem[PART], mem[KNOWN] = 0.0, 1.0 if whole else 0.0
+    mem[PART] = 0.0
     _find(par, mem, whole)
+    _take_tick(par, mem, whole and x[col.COVERED, stop - 1] > 0.5)
     return stop, True
 
 
 @jit
 def _add_rows(par: Floats, mem: Floats, x: Floats, begin: int, stop: int) -> None:
     """Add rows to the sums of their part."""
-    sums, known, felt = mem[SUMS + SUMMED * (2 + int(mem[PART])) :][:SUMMED], mem[KNOWN], par[FELT] > 0.5
+    sums, known, felt = mem[SUMS + FIGURES * (2 + int(mem[PART])) :][:SUMMED], mem[KNOWN], par[FELT] > 0.5
     if mem[ROW] == 0.0:
         sums[:] = 0.0
     for i in range(begin, stop):
@@ -172,32 +170,27 @@ def _add_rows(par: Floats, mem: Floats, x: Floats, begin: int, stop: int) -> Non
 
 
 @jit
-def _found_at(par: Floats) -> int:
-    """Where the parts of the last tick stand: of each its `FIGURES`."""
-    return SUMS + SUMMED * (int(par[PARTS]) + 2) + int(par[PARTS])
+def _ticks_at(par: Floats) -> int:
+    """Where the ticks of the windows stand, behind room for the median."""
+    return SUMS + FIGURES * (int(par[PARTS]) + 2) + int(par[PARTS])
 
 
 @jit
 def _find(par: Floats, mem: Floats, whole: bool) -> None:
-    """From sums to the parts of a tick; zero where it is not whole.
+    """From sums to the parts of a tick; nan where it is not whole.
 
     A slope is that from the part before to the part after, so the parts of a tick end one part before its last row.
-    Before the first whole tick there is what it begins with.
     """
-    parts, rows, out = int(par[PARTS]), int(par[ROWS]), _found_at(par)
-    for j in range(SUMMED * parts):
-        mem[SUMS + 2 * SUMMED + j] = mem[SUMS + 2 * SUMMED + j] / rows if whole else math.nan
+    rows, first = int(par[ROWS]), SUMS + 2 * FIGURES
+    for j in range(FIGURES * int(par[PARTS])):
+        mem[first + j] = mem[first + j] / rows if whole else math.nan
     for part in range(2):
-        for j in range(SUMMED if whole and math.isnan(mem[SUMS + SUMMED * part + 5]) else 0):
-            mem[SUMS + SUMMED * part + j] = mem[SUMS + 2 * SUMMED + j]
-    for part in range(parts):
-        for j in range(SUMMED):
-            mem[out + FIGURES * part + j] = mem[SUMS + SUMMED * (part + 1) + j] if whole else 0.0
-        before, after, span_s = SUMS + SUMMED * part, SUMS + SUMMED * (part + 2), 2 * rows * par[DT]
-        mem[out + FIGURES * part + 7] = (mem[after + 5] - mem[before + 5]) / span_s if whole else 0.0
-        mem[out + FIGURES * part + 8] = (mem[before + 2] - mem[after + 2]) / span_s if whole else 0.0
-    for j in range(2 * SUMMED):
-        mem[SUMS + j] = mem[SUMS + SUMMED * parts + j]
+        for j in range(SUMMED if math.isnan(mem[SUMS + FIGURES * part + 5]) else 0):
+            mem[SUMS + FIGURES * part + j] = mem[first + j]
+    for of in range(SUMS + FIGURES, first + FIGURES * (int(par[PARTS]) - 1), FIGURES):
+        before, after, span_s = of - FIGURES, of + FIGURES, 2 * rows * par[DT]
+        mem[of + 7] = (mem[after + 5] - mem[before + 5]) / span_s
+        mem[of + 8] = (mem[before + 2] - mem[after + 2]) / span_s
 
 
 @jit
@@ -213,20 +206,18 @@ def _median(mem: Floats, at: int, count: int) -> float:
 
 
 @jit
-def take_tick(par: Floats, mem: Floats, usable: bool) -> None:
+def _take_tick(par: Floats, mem: Floats, usable: bool) -> None:
     """Put the tick whose parts were found into the windows, without what pull and turn take of its trim."""
-    parts, found = int(par[PARTS]), _found_at(par)
-    scratch, most = found - parts, 0.0
-    to = found + FIGURES * parts + (MEANS + 1) * (int(mem[TICKS]) % (2 * int(par[WINDOW])))
+    parts, ticks, most = int(par[PARTS]), _ticks_at(par), 0.0
+    scratch, to = ticks - parts, ticks + (MEANS + 1) * (int(mem[TICKS]) % (2 * int(par[WINDOW])))
     for j in range(MEANS):
         for part in range(parts):
-            of = found + FIGURES * part
-            taken = 0.0
+            of, taken = SUMS + FIGURES * (part + 1), 0.0
             if j < 2:
                 taken = par[PULL + j] * mem[of + 3 + j]
             elif j == 2:
                 taken = par[TURN] * mem[of + 5] + par[TURN + 1] * mem[of + 7] + par[TURN + 2] * mem[of + 8]
-                most = max(most, abs(taken))
+                most = abs(taken) if abs(taken) > most else most  # not of nan
             mem[scratch + part] = mem[of + j] - taken
         mem[to + j] = _median(mem, scratch, parts)
     mem[to + LIFT] = math.log(max(mem[to + LIFT], trims.MIN_OUTPUT))
@@ -242,7 +233,7 @@ def take_tick(par: Floats, mem: Floats, usable: bool) -> None:
 @jit
 def window_means(par: Floats, mem: Floats, back: int, means: Floats) -> None:
     """Weighted means, (MEANS,), over the ticks of a window that ended so many ticks ago."""
-    window, ring = int(par[WINDOW]), _found_at(par) + FIGURES * int(par[PARTS])
+    window, ring = int(par[WINDOW]), _ticks_at(par)
     first, weight = int(mem[TICKS]) - back - window, 0.0
     means[:] = 0.0
     for tick in range(first, first + window):
@@ -268,9 +259,8 @@ def rise(par: Floats, rotor: int, shift: Floats, roll: float, pitch: float, yaw:
 def best_rise(par: Floats, shift: Floats) -> float:
     """That of the rotor whose rise leaves least of a shift of trim, pull, yaw rate and lift, (7,).
 
-    Roll and pitch with what a load moves that is so heavy, and with the errors of k: a rotor with less effect would
-    rise more. Less by what the yaw trim errs at this yaw rate beyond what it differs by on other days. Or that of the
-    rotor whose rise roll, pitch and lift tell alike, whatever yaw does, if it is larger (b_j of `TrimStep`).
+    Roll and pitch vary with a load that is so heavy, and with the errors of k. Less by what the yaw trim errs at this
+    yaw rate. Or b_j of `TrimStep`, if it is larger: what roll, pitch and lift tell alike, whatever yaw does.
     """
     n, pull, load = int(par[ROTORS]), shift[3] ** 2 + shift[4] ** 2, (trims.BESIDE * shift[LIFT]) ** 2
     roll, pitch = par[SPREAD] ** 2 + load + par[ERROR] * pull, par[SPREAD + 1] ** 2 + load + par[ERROR + 1] * pull
@@ -291,7 +281,7 @@ def best_rise(par: Floats, shift: Floats) -> float:
 @allocating
 def write(par: Floats, mem: Floats, shift: Floats, sound: bool, out: Floats, rotors: Floats, k: int) -> None:
     """A value of a shift; for a fit the tick's `FIGURES`, usable ticks, window and shift."""
-    parts, n, found = int(par[PARTS]), int(par[ROTORS]), _found_at(par)
+    parts, n = int(par[PARTS]), int(par[ROTORS])
     out[col.VALUE, k] = out[col.LEVEL, k] = best_rise(par, shift)
     out[col.SOUND, k] = sound
     roll, pitch, yaw = par[SPREAD] ** 2, par[SPREAD + 1] ** 2, par[SPREAD + 2] ** 2
@@ -305,7 +295,7 @@ def write(par: Floats, mem: Floats, shift: Floats, sound: bool, out: Floats, rot
         for j in range(FIGURES):
             mean = 0.0
             for part in range(parts):
-                mean += mem[found + FIGURES * part + j]
+                mean += mem[SUMS + FIGURES * (part + 1) + j]
             out[col.TRACE + j, k] = mean / parts
         out[col.TRACE + RUNS, k] = mem[RUN]
         for j in range(LIFT):
@@ -322,7 +312,6 @@ def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats
         begin, ended = take_rows(par, mem, x, begin)
         if not ended:
             continue
-        take_tick(par, mem, mem[KNOWN] > 0.5 and x[col.COVERED, begin - 1] > 0.5)
         sound = mem[RUN] >= par[WINDOW]
         window_means(par, mem, 0, shift)
         shift[LIFT] = 0.0  # what the vehicle weighed when it was learnt is not known
@@ -334,18 +323,16 @@ def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats
 
 
 class TrimMonitor(Monitor[Spec]):
-    """A monitor of the trim; its `rotors` are a_j |c_j|/max_k |c_k|, |c|^2 = c' W c (`airframe.trim`).
-
-    So the rise that leaves least of a shift is the largest, whatever the sizes of the columns c.
-    """
+    """A monitor of the trim; its `rotors` are a_j |c_j|/max_k |c_k|, |c|^2 = c' W c (`airframe.trim`)."""
 
     phrase = "lost {lost}% thrust"
     needs = frozenset({Signal.ACTUATOR, Signal.TORQUE_COMMAND, Signal.THRUST_SETPOINT, Signal.SPECIFIC_FORCE})
     depends = TRIM_CONDITIONS
-    # A lead of 0.12 was right in each of 35 recorded cuts. Damage that changes a blade's drag by 0.02 shifts the yaw
-    # trim towards rotors of the other sense, a lead of 0.04: no smaller unit tells rotors apart (our choice).
+    # Damage that changes a blade's drag by 0.02 shifts the yaw trim towards rotors of the other sense, a lead of 0.04:
+    # no smaller unit tells rotors apart (our choice).
     evidence = RotorEvidence(10.0, relative=True, least=0.04, direct=False)
     needs_layout = True
+    tick_s = TICK_S
     unit = "fraction of hover"
     reach = MOST_RISE
     drag: ClassVar[float] = 0.0  # what drag changes by apart from thrust, over the rise (sd)
@@ -356,7 +343,6 @@ class TrimMonitor(Monitor[Spec]):
         self.signals = trims.SIGNALS[spec.source] | ({Signal.SPECIFIC_FORCE} if spec.felt else set())
         own = slice(0, spec.layout.rotors)  # those that move a rotor
         self.takes = {Signal.ACTUATOR: own, Signal.SPECIFIC_FORCE: trims.ALONG_DISCS}
-        self.memory_s = spec.window_s + TICK_S
 
     @classmethod
     def fit(cls, flights: Flights, context: LearnContext) -> tuple[Spec, ...]:
@@ -377,10 +363,7 @@ class TrimMonitor(Monitor[Spec]):
         """Spread of what it judges of healthy flights. Raises IdentificationError. flights: (rows of `write`, k)."""
 
     def _parts_of(self, flight: Sequence[Rows]) -> list[FloatArray]:
-        """The parts of ticks of each segment as rows that come so seldom: x of `rows.block`.
-
-        Their trim stands for torque commands at a thrust, their pull for the lean: `run` makes the same ticks.
-        """
+        """The parts of ticks of each segment as x of `rows.block`: trim as torque command at a thrust, pull as lean."""
         found, spec = [], self.spec
         for segment in segments(flight):
             parts, rest = list[FloatArray](), np.empty((8, 0))
@@ -429,8 +412,7 @@ class TrimMonitor(Monitor[Spec]):
     def whole(self, flight: Sequence[Rows]) -> Three | tuple[()]:
         """Trim of a whole flight by roll, pitch and yaw, without what pull and turns take; empty if it is too short.
 
-        Medians over its parts of 0.1 s but for those whose turn takes more than `TURN_TRIM`, however few follow each
-        other: a flight of hops has one, too.
+        Medians over its parts of 0.1 s but for those whose turn takes more than `TURN_TRIM`.
         """
         spec, found = self.spec, [np.empty((3, 0))]
         for x in of_each([flight], (spec.layout, spec.source, spec.felt), self._parts_of)[0]:
@@ -442,15 +424,16 @@ class TrimMonitor(Monitor[Spec]):
         parts = np.concatenate(found, axis=1)
         return three(np.median(parts, axis=1)) if parts.shape[1] * PART_S >= spec.window_s else ()
 
-    def period_s(self, dt_s: float) -> float:
-        """A tick [s]."""
-        return math.prod(_tick_shape(dt_s)) * dt_s
+    @classmethod
+    def tick(cls, dt_s: float) -> int:
+        """Of whole parts."""
+        return math.prod(_tick_shape(dt_s))
 
     def blindness(self, threshold: float) -> str:
-        """The least loss of one rotor; and the direction that errors of the law of turns cannot be told from.
+        """The least loss of one rotor; and what errors of the law of turns cannot be told from.
 
-        At a yaw rate r these have the standard deviation sqrt(P_11) |r - r0|, r0 the mean one that was learnt, where a
-        rise a of one rotor shifts the yaw trim by a c_yaw. Beyond where both are equal the yaw trim tells no rotor.
+        Their standard deviation is sqrt(P_11) |r - r0|, r0 the mean yaw rate that was learnt. Beyond where a rise a of
+        one rotor, a c_yaw, is as large the yaw trim tells no rotor.
         """
         spec, C = self.spec, self.spec.layout.unmixing
         rate = math.sqrt(spec.turn_covariance[0][0])
@@ -473,8 +456,8 @@ class TrimMonitor(Monitor[Spec]):
         gain, C = layout.torque_gain or (0.0, 0.0, 0.0), layout.unmixing
         errors = [*np.square(spec.pull_sd), SURE_SD**2 * spec.turn_covariance[0][0]]
         learnt = [*spec.pull, *spec.turn, *errors, *spec.mean, *spec.about, *spec.spread, *gain]
-        mem = np.zeros(SUMS + SUMMED * (parts + 2) + (FIGURES + 1) * parts + 2 * (MEANS + 1) * window)
-        mem[SUMS : SUMS + 2 * SUMMED] = np.nan
+        mem = np.zeros(SUMS + FIGURES * (parts + 2) + parts + 2 * (MEANS + 1) * window)
+        mem[SUMS:][: FIGURES * (parts + 2)] = np.nan
         own, sizes = self.own(self.period_s(dt_s)), np.sqrt(np.power(spec.spread, -2.0) @ np.square(C))
         apart = self.days**2, self.drag**2, trims.curve_of(layout)
         return Begin(np.array([*head, *learnt, *own, *apart, *C.ravel(), 1.0 / sizes.max()]), mem)
@@ -487,10 +470,9 @@ class RotorTrim(TrimMonitor[RotorTrimSpec]):
         rotor = argmax_j a_j |c_j|,    statistic = a_rotor / sqrt(1 + max(0, 9 P_11 (r - r0)^2 - s^2)/sd_yaw^2)
 
     A payload, a weak battery or a shifted centre of mass move roll and pitch, not yaw; these have at least three times
-    yaw's spread, so the evidence is mostly yaw, and roll and pitch settle which rotor it is. To their spread the error
-    of k times the change of the pull is added in squares, but not where a rotor is named. r - r0: yaw rate of the same
-    5 s less that of the healthy flights, P_11: variance of b1, s: what the yaw trim differs by on other days anyway;
-    nine times, for an error of one standard deviation is common.
+    yaw's spread, so the evidence is mostly yaw, and they settle which rotor it is. To their spread the error of k times
+    the change of the pull is added in squares, but not where a rotor is named. r - r0: yaw rate of the same 5 s less
+    that of the healthy flights, P_11: variance of b1, s: what the yaw trim differs by on other days anyway.
 
     Warm-up: 5 s of unbroken valid flight. Latency: up to 5 s. False alarms: a change of propellers or of the centre of
     mass; two flights from two sessions are the worst basis. Blind spots: hops shorter than 5 s; vibration without loss
@@ -523,7 +505,7 @@ def _with_laws(spec: Spec, flights: Sequence[Sequence[FloatArray]], dt_s: float)
     """With k and b of healthy flights, each as `TrimMonitor._walked` gives it, and their errors.
 
     Usable ticks, but for the first one after a break, about their flight's mean; and the means of the flights, between
-    which other days lie, about that of all. Ticks that turn to and fro at one frequency tell b1 from b3 by these alone.
+    which other days lie, about that of all.
     """
     found, window = [np.empty((0, FIGURES))], max(1, round(WINDOW_S / (math.prod(_tick_shape(dt_s)) * dt_s)))
     for flight in flights:

@@ -2,10 +2,11 @@
 
     y(t) = b_0 u(t) + b_1 u(t-1) + .. - a_1 y(t-1) - ..          no measured output enters the simulation
 
-so a fault cannot explain itself away as it does in a one-step prediction. A segment starts the model from the measured
-rate at rest in it; what that start gets wrong has died out by the end of the segment's blanked first second.
+A segment starts the model from the measured rate at rest in it; what that gets wrong dies out in the blanked first
+second.
 """
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -25,14 +26,12 @@ from mavdiag.rows.block import COMMANDED, LEVEL, RESIDUAL, SOUND, VALUE, Floats,
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.windows import spans
-from mavdiag.telemetry import Axis, FloatArray, Signal
+from mavdiag.telemetry import Axis, BoolArray, FloatArray, Signal
 
 TRAIN_ROWS = 60_000  # one minute at 1 kHz: beyond it a model's standard errors no longer matter (our choice)
 SETTLE_S = 1.0  # of each stretch that does not count in the figures of fit: it may begin in motion (our choice)
 MIN_PIECE_S = 2.0  # shorter valid stretches do not train a model (our choice)
-# rad/s, which RotorPy's gusts of 1 m/s make of a vehicle of 30 g (rms; our choice). CrazyPAD's flights show margins
-# of 0.05 to 0.065, the thesis's plant of 0.045 to 0.05.
-LEAST_MARGIN = 0.02
+LEAST_MARGIN = 0.02  # rad/s, which RotorPy's gusts of 1 m/s make of a vehicle of 30 g (rms; our choice)
 # A rate that is followed for so long trains beside the flights: in a calm hover the command follows the vehicle, which
 # alone tells a gain of 0.1 or 1.6. It is about a hundredth of what one minute of squares tells (our choice).
 STEADY_RAD_S, STEADY_S = 0.2, 5.0
@@ -189,60 +188,50 @@ def _margins(specs: Sequence[RunLengthSpec], flights: Flights) -> list[float]:
     return [max(margin, LEAST_MARGIN) for margin in shown]
 
 
-Parts = list[tuple[int, int, int]]
-"""An unbroken stretch of rates by its parts: number of the piece of rows, first rate in it and last + 1."""
-
-
-def training_spans(flight: Sequence[Rows]) -> list[Parts]:
-    """Valid stretches, long enough to train on, of at most `TRAIN_ROWS`; the same ones for any cut into pieces."""
-    found, goes_on, least = list[Parts](), False, 0.0
-    for number, (begins, rows) in enumerate(parted(flight)):
-        commanded, goes_on, least = rows.rates.commanded, goes_on and not begins, MIN_PIECE_S / rows.rates.dt_s
+def training_spans(flight: Sequence[Rows]) -> list[tuple[int, int]]:
+    """Valid stretches [first, stop) of all rates of a flight, long enough to train on, of at most `TRAIN_ROWS`."""
+    segments, dt_s = list[list[BoolArray]](), 1.0
+    for begins, rows in parted(flight):
+        segments += [[]] if begins else []
+        segments[-1].append(rows.rates.commanded)
+        dt_s = rows.rates.dt_s
+    found, at = list[tuple[int, int]](), 0
+    for commanded in map(np.concatenate, segments):
         for first, stop in spans(commanded):
-            if first or not goes_on:
-                found.append([])
-            while first < stop:
-                if _rows_in(found[-1]) == TRAIN_ROWS:
-                    found.append([])
-                end = min(stop, first + TRAIN_ROWS - _rows_in(found[-1]))
-                found[-1].append((number, first, end))
-                first = end
-        goes_on = bool(commanded[-1]) if len(commanded) else goes_on
-    return [stretch for stretch in found if _rows_in(stretch) >= least]
+            found += [(at + k, at + min(k + TRAIN_ROWS, stop)) for k in range(first, stop, TRAIN_ROWS)]
+        at += len(commanded)
+    return [(first, stop) for first, stop in found if stop - first >= MIN_PIECE_S / dt_s]
 
 
-def _rows_in(stretch: Parts) -> int:
-    return sum(stop - first for _, first, stop in stretch)
-
-
-def _rates_in(flight: Sequence[Rows], stretch: Parts, axis: Axis, most: int) -> tuple[FloatArray, FloatArray]:
-    """The first rows of u and y of one axis in a stretch; copies, so that of what is mapped no more stays in memory."""
-    parts = list[FloatArray]()
-    for number, first, stop in stretch:
-        rates, stop = flight[number].rates, min(stop, first + most)
-        parts.append(np.stack((rates.u[first:stop, axis.column], rates.y[first:stop, axis.column])))
-        most -= stop - first
-        if most == 0:
-            break
-    u, y = np.concatenate(parts, axis=1)
-    return without_rounding([u], [y])[0], y
+def _rates_of(
+    flight: Sequence[Rows], stretches: Sequence[tuple[int, int]], axis: Axis
+) -> list[tuple[FloatArray, FloatArray]]:
+    """u and y of one axis in stretches; copies, so that of what is mapped no more stays in memory."""
+    parts, at = [list[FloatArray]() for _ in stretches], 0
+    for rates in (rows.rates for rows in flight):
+        for found, (first, stop) in zip(parts, stretches, strict=True):
+            own = slice(max(first - at, 0), max(stop - at, 0))
+            found.append(np.stack((rates.u[own, axis.column], rates.y[own, axis.column])))
+        at += len(rates)
+    pairs = [np.concatenate(found, axis=1) for found in parts]
+    return [(without_rounding([u], [y])[0], y) for u, y in pairs]
 
 
 def training_pieces(flight: Sequence[Rows], axis: Axis) -> list[tuple[FloatArray, FloatArray]]:
     """u and y of one axis in each of the stretches to train on."""
-    return [_rates_in(flight, stretch, axis, TRAIN_ROWS) for stretch in training_spans(flight)]
+    return _rates_of(flight, training_spans(flight), axis)
 
 
 def _train(flights: Flights, axis: Axis, context: LearnContext) -> ArxModel:
     """A model of one axis from a like share of every flight (T 5.4). Raises IdentificationError, naming the axis."""
     places = of_each(flights, "training spans", training_spans)
-    lengths = [_rows_in(stretch) for of_flight in places for stretch in of_flight]
+    lengths = [stop - first for stretches in places for first, stop in stretches]
     if not lengths:
         raise IdentificationError(f"{axis}: no unbroken stretch of {MIN_PIECE_S:.0f} s to identify from; fly longer")
     dt_s, near = context.dt_s, next((one.model.model() for one in context.near if one.axis == axis), None)
     taken = iter(cut_to_share(lengths, TRAIN_ROWS, round(MIN_PIECE_S / dt_s)))
-    each = [(flight, stretch) for flight, stretches in zip(flights, places, strict=True) for stretch in stretches]
-    pairs = [_rates_in(flight, stretch, axis, next(taken)) for flight, stretch in each]
+    shares = [[(first, first + next(taken)) for first, _ in stretches] for stretches in places]
+    pairs = [pair for found in map(_rates_of, flights, shares, itertools.repeat(axis)) for pair in found]
     u, y = [one for one, _ in pairs], [one for _, one in pairs]
     figures, method, steady = context.figures, context.method, np.full(round(STEADY_S / dt_s), STEADY_RAD_S)
     try:

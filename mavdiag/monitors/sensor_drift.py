@@ -19,7 +19,6 @@ from mavdiag.monitors.spec import Period, Positive, spec
 from mavdiag.rows.block import ATTITUDE, FORCE, LEVEL, RATE, SOUND, TRACE, VALID, VALUE, Floats, Ints
 from mavdiag.rows.front import Rows
 from mavdiag.rows.rates import body_rates
-from mavdiag.rows.running import past_size, shift
 from mavdiag.telemetry import FloatArray, Signal, Three
 from mavdiag.units import G
 
@@ -31,9 +30,8 @@ VERTICAL_S = 4.0  # of each of three means of the vertical acceleration (our cho
 LATE_S = 0.02  # by which an attitude may be older than the gyro: a period of 50 Hz (our choice)
 TURN_SHARE = 0.01  # of a turn that a healthy gyro may be wrong by, scale and cross-axis (IIM-42652 data sheet: 1 %)
 LEAST_ANGLE = 0.01  # rad: smallest healthy disagreement that is believed (our choice)
-# rad/s: change of a gyro's bias between flights that is no fault. The IIM-42652's data sheet has 0.005 deg/s a kelvin,
-# and electronics warm up by some 45 K after the power is on: 0.225 deg/s. At the threshold a bias of
-# 0.01 rad/s, which the data sheet allows at power-on (0.5 deg/s), is no fault. (45 K is an estimate.)
+# rad/s: change of a gyro's bias between flights that is no fault: 0.005 deg/s a kelvin (IIM-42652 data sheet), and 45 K
+# by which electronics warm up (estimate).
 USUAL_BIAS = 0.004
 LEAST_VERTICAL = 0.08  # m/s^2 (our choice)
 STEEP_RAD, FAST_RAD_S = 0.7, 6.0  # beyond it small angles do not hold, and an upset begins (our choice)
@@ -58,11 +56,6 @@ class SensorDriftSpec:
     tilt: Positive  # rms of the disagreement over 15 s [rad]
     heading: Positive
     lift: Positive  # rms of the 4 s means of the vertical specific force [m/s^2]
-
-    @property
-    def tick(self) -> int:
-        """Rows per value."""
-        return max(1, round(TICK_S / self.dt_s))
 
 
 @jit
@@ -129,7 +122,8 @@ def _drifted(mem: Floats, newest: int, apart: int, mean: int, excused: float) ->
 def _walk(par: Floats, mem: Floats, whole: bool, found: Floats) -> bool:
     """Take a tick, whose means stand at `SUMS`: |dE|, |dY|, |V| and what is excused, e; whether they count."""
     mean, lag, lift, span_s = int(par[MEAN]), int(par[LAG]), int(par[LIFT]), par[TICK] * par[DT]
-    length, newest = lag + 2 * mean + 1, HISTORY
+    length = lag + 2 * mean + 1
+    north, lifted, last = HISTORY + length - 1, HISTORY + 4 * length - 1, HISTORY + 5 * length - 1  # newest of a column
     found[:] = 0.0
     if not whole:
         mem[ANGLE:HISTORY] = 0.0
@@ -139,23 +133,24 @@ def _walk(par: Floats, mem: Floats, whole: bool, found: Floats) -> bool:
     mem[ANGLE + 1] += (mem[SUMS + 1] - p * s - q * c) * span_s
     mem[ANGLE + 2] += (mem[SUMS + 2] - q * mem[TURNED + 2] - r * mem[TURNED + 3]) * span_s
     mem[ANGLE + 3] += mem[SUMS + 3] * span_s
-    for j in range(COLUMNS):
-        value = mem[ANGLE + 3] if j == 4 else mem[SUMS + 4 + j] - (mem[ANGLE + j] if j < 3 else par[VERTICAL])
-        newest = shift(mem, HISTORY + j * (1 + 2 * length), length, value) + length - 1
+    for place in range(HISTORY, last):
+        mem[place] = mem[place + 1]
+    for j in range(3):
+        mem[north + j * length] = mem[SUMS + 4 + j] - mem[ANGLE + j]
+    mem[lifted], mem[last] = mem[SUMS + 7] - par[VERTICAL], mem[ANGLE + 3]
     mem[TICKS] += 1.0
-    ticks, of, newest = int(mem[TICKS]), 1 + 2 * length, newest - (COLUMNS - 1) * (1 + 2 * length)
+    ticks = int(mem[TICKS])
     if ticks >= 2 * mean:
         apart = min(lag, ticks - mean)  # ticks between the windows
-        turned = _mean(mem, newest + 4 * of, 0, mean) - _mean(mem, newest + 4 * of, apart, mean)
-        new, old = newest + 4 * of, newest + 4 * of - apart
-        rates = mem[new] - mem[new - mean + 1] + mem[old] - mem[old - mean + 1]  # of both windows
+        turned, old = _mean(mem, last, 0, mean) - _mean(mem, last, apart, mean), last - apart
+        rates = mem[last] - mem[last - mean + 1] + mem[old] - mem[old - mean + 1]  # of both windows
         found[3] = TURN_SHARE * turned + apart * (USUAL_BIAS * span_s) + LATE_S / MEAN_S * rates
-        north = _drifted(mem, newest, apart, mean, found[3])
-        found[0] = math.hypot(north, _drifted(mem, newest + of, apart, mean, found[3]))
-        found[1] = _drifted(mem, newest + 2 * of, apart, mean, found[3])
+        tilted = _drifted(mem, north, apart, mean, found[3])
+        found[0] = math.hypot(tilted, _drifted(mem, north + length, apart, mean, found[3]))
+        found[1] = _drifted(mem, north + 2 * length, apart, mean, found[3])
     if ticks >= 3 * lift:
-        late, early = _mean(mem, newest + 3 * of, 0, lift), _mean(mem, newest + 3 * of, 2 * lift, lift)
-        middle = _mean(mem, newest + 3 * of, lift, lift)
+        late, middle = _mean(mem, lifted, 0, lift), _mean(mem, lifted, lift, lift)
+        early = _mean(mem, lifted, 2 * lift, lift)
         found[2] = min(abs(late), abs(middle), abs(early)) if min(late * middle, middle * early) > 0.0 else 0.0
     return ticks >= 2 * mean
 
@@ -223,6 +218,7 @@ class SensorDrift(Monitor[SensorDriftSpec]):
     kind = FaultKind.SENSOR
     least = 2.5
     least_hz = 20.0  # below it turns are not followed from sample to sample (our choice)
+    tick_s = TICK_S
     spec_type = SensorDriftSpec
     unit = "x healthy rms"
     reach = LIMIT  # where a value is cut
@@ -232,13 +228,13 @@ class SensorDrift(Monitor[SensorDriftSpec]):
     def fit(cls, flights: Flights, context: LearnContext) -> tuple[SensorDriftSpec, ...]:
         """Healthy biases and spreads. Raises InputError if the vehicle sends no attitude."""
         still = SensorDriftSpec(dt_s=context.dt_s, bias=(0.0, 0.0, 0.0), vertical=0.0, tilt=1.0, heading=1.0, lift=1.0)
-        biases = np.concatenate(of_each(flights, cls.name, lambda flight: _biases(flight, still.tick)))
+        biases = np.concatenate(of_each(flights, cls.name, _biases))
         if not len(biases):
             raise InputError("no flight with a gyro, an accelerometer and an attitude estimate")
         mean = biases.mean(axis=0)
         unbiased = replace(still, bias=three(mean[:3]), vertical=float(mean[3]))
         count, squares = 0, np.zeros(3)
-        for ticks in of_each(flights, (cls.name, "ticks"), lambda flight: _ticks(flight, still)):
+        for ticks in of_each(flights, (cls.name, "ticks"), lambda flight: _ticks(cls(still), flight)):
             begun = cls(unbiased).begin(context.dt_s)
             found = _again(begun.par, begun.mem, ticks).T
             disagreement = found[:4, found[4] > 0.5]
@@ -249,29 +245,26 @@ class SensorDrift(Monitor[SensorDriftSpec]):
         tilt, heading, lift = np.maximum(np.sqrt(squares / count), (LEAST_ANGLE, LEAST_ANGLE, LEAST_VERTICAL)).tolist()
         return (replace(unbiased, tilt=tilt, heading=heading, lift=lift),)
 
-    def period_s(self, dt_s: float) -> float:
-        """A tick [s]."""
-        return self.spec.tick * self.spec.dt_s
-
     def begin(self, dt_s: float) -> Begin:
         """No row yet."""
-        spec, tick_s = self.spec, self.spec.tick * self.spec.dt_s
+        spec, tick_s = self.spec, self.period_s(dt_s)
         mean, lag, lift = (max(1, round(span_s / tick_s)) for span_s in (MEAN_S, LAG_S, VERTICAL_S))
         spreads = spec.tilt, spec.heading, spec.lift
-        par = np.array([spec.dt_s, spec.tick, mean, lag, lift, spec.vertical, *spec.bias, *spreads])
-        return Begin(par, np.zeros(HISTORY + COLUMNS * past_size(lag + 2 * mean + 1)))
+        par = np.array([dt_s, self.tick(dt_s), mean, lag, lift, spec.vertical, *spec.bias, *spreads])
+        return Begin(par, np.zeros(HISTORY + COLUMNS * (lag + 2 * mean + 1)))
 
 
-def _ticks(flight: Sequence[Rows], still: SensorDriftSpec) -> FloatArray:
+def _ticks(monitor: SensorDrift, flight: Sequence[Rows]) -> FloatArray:
     """The means of the whole ticks of a flight, and how many came before since a gap, (k, OF_TICK + 1)."""
-    found = [out[TRACE:, out[TRACE + OF_TICK] >= 0.0].T for out in traced(SensorDrift(still), flight, OF_TICK + 1)]
-    return np.concatenate([np.empty((0, OF_TICK + 1)), *found])
+    ticks = traced(monitor, flight, OF_TICK + 1)[TRACE:]
+    return np.compress(ticks[OF_TICK] >= 0.0, ticks, axis=1).T
 
 
-def _biases(flight: Sequence[Rows], tick: int) -> FloatArray:
+def _biases(flight: Sequence[Rows]) -> FloatArray:
     """(n, 4) of whole ticks: gyro less the rate of the attitude, and vertical specific force beyond -g."""
     found, rest = [np.empty((0, 4))], np.empty((10, 0))
     for begins, block in ((begins, rows.block) for begins, rows in parted(flight)):
+        tick = SensorDrift.tick(block.dt_s)
         fresh = np.vstack((block.rate.T, block.force.T, block.attitude.T, block.valid))
         rows = np.asarray(fresh if begins else np.concatenate((rest, fresh), axis=1), dtype=np.float64)
         rows, rest = np.split(rows, [rows.shape[1] // tick * tick], axis=1)

@@ -8,8 +8,8 @@ import numpy as np
 
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.jit import allocating, cached
-from mavdiag.monitors.base import SLACK, Begin, FaultKind, Flights, LearnContext, Monitor
-from mavdiag.monitors.fitting import of_each, traced
+from mavdiag.monitors.base import SLACK, Begin, FaultKind, Flights, LearnContext, Monitor, walk
+from mavdiag.monitors.fitting import of_each
 from mavdiag.monitors.spec import Positive, Span, spec
 from mavdiag.rows.block import LEVEL, RATE, SOUND, TRACE, VALID, VALUE, Floats, Ints
 from mavdiag.rows.front import Rows
@@ -137,7 +137,7 @@ class SensorNoise(Monitor[SensorNoiseSpec]):
 
 def _squares(flight: Sequence[Rows]) -> tuple[int, FloatArray]:
     count, squares = 0, np.zeros(AXES)
-    for found in traced(SensorNoise(SensorNoiseSpec(rms=(1.0,) * 6)), flight, AXES):
+    for ((_, found),) in walk([SensorNoise(SensorNoiseSpec(rms=(1.0,) * 6))], flight, AXES):
         d = found[TRACE:, np.isfinite(found[TRACE])]
         count, squares = count + d.shape[1], squares + np.einsum("kn,kn->k", d, d)
     return count, squares

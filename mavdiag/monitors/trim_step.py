@@ -14,7 +14,7 @@ from mavdiag.errors import IdentificationError
 from mavdiag.jit import cached, jit
 from mavdiag.monitors.base import Flights
 from mavdiag.monitors.spec import Positive, Span, spec
-from mavdiag.rows.block import COVERED, SOUND, TRACE, Floats, Ints
+from mavdiag.rows.block import SOUND, TRACE, Floats, Ints
 from mavdiag.telemetry import FloatArray, Three
 
 MEMORY_S = 30.0  # of the reference (our choice)
@@ -104,7 +104,6 @@ def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats
     while begin < x.shape[1]:
         begin, ended = trim.take_rows(par, mem, x, begin)
         if ended:
-            trim.take_tick(par, mem, mem[trim.KNOWN] > 0.5 and x[COVERED, begin - 1] > 0.5)
             trim.write(par, mem, shift, _take_window(par, mem, shift, before), out, rotors, k)
             at[k] = begin - 1 - first
             k += 1
@@ -122,16 +121,15 @@ class TrimStep(trim.TrimMonitor[TrimStepSpec]):
         m_ref <- m but for yaw, o_ref <- o,    if 0.3 l is above 0.012 in both, and differs by no more: a load stays
         var(m_roll), var(m_pitch): their spread^2 + (0.3 ln(o/o_ref))^2,    o: mean output, which has a reference, too
 
-    A load shifts roll and pitch by its weight, which o shows, times its place, usually 0.3 of the rotors' distance; a
-    weak rotor is at 1. Thrust lost without drag moves no yaw: b_j is what roll, pitch and o tell beyond any such load.
+    A load lies at 0.3 of the rotors' distance, usually; a weak rotor is at 1. Thrust lost without drag moves no yaw:
+    b_j is what roll, pitch and o tell beyond any load.
 
-    m_ref begins as the first 5 s of a flight that the envelope covers: ground effect is no reference. What was there
-    from the start does not count, and of a rise of r a second only 37 r is seen: a session's offset, a battery, wear.
-    A shift that stays for two minutes of judged flight becomes the reference. From then on, and where a flight begins
-    with more than a session explains, what leads back to where the trim was healthy does not count: m - m_ref is taken
-    from the nearest point of the way there, so that a repair in flight is no fault of the other rotors. `level` equals
-    the statistic. `rotors` are the a_j by the spreads as they are: a load is in m and m_ref alike; but drag may
-    change apart from thrust, by as much (sd), so that a blade with more of it names no other rotor.
+    m_ref begins as the first 5 s of a flight that the envelope covers. What was there from the start does not count,
+    and of a rise of r a second only 37 r is seen: a session's offset, a battery, wear. A shift that stays for two
+    minutes of judged flight becomes the reference. From then on, and where a flight begins with more than a session
+    explains, m - m_ref is taken from the nearest point of the way back to where the trim was healthy, so that a repair
+    in flight is no fault of the other rotors. `level` equals the statistic. `rotors` are the a_j by the spreads as they
+    are, where drag may change apart from thrust, by as much (sd): a blade with more of it names no other rotor.
 
     Warm-up: 10 s of unbroken valid flight as the envelope covers it. Latency: up to 5.5 s. False alarms: a load that is
     hung under one rotor, or slips. Blind spots: damage that was there at take-off (the rotor-trim monitor sees it) or

@@ -1,7 +1,4 @@
-"""The unbalance monitor: how much unbalance turns with the rotors, and on which of them it sits.
-
-An unbalanced rotor shakes the airframe once per revolution, with a force U Omega^2 (T 3.1.1).
-"""
+"""The unbalance monitor: an unbalanced rotor shakes the airframe once per revolution, by U Omega^2 (T 3.1.1)."""
 
 import math
 from collections.abc import Sequence
@@ -101,11 +98,6 @@ class UnbalanceSpec:
         if self.mass_kg is None or self.hover_rad_s is None:
             return 1.0
         return G_MM_PER_KG_M * self.mass_kg / self.hover_rad_s**2
-
-    @property
-    def tick(self) -> int:
-        """Rows per value."""
-        return max(1, round(TICK_S / self.dt_s))
 
     @property
     def taps(self) -> FloatArray:
@@ -212,7 +204,7 @@ class Unbalance(Monitor[UnbalanceSpec]):
     `rotors` give its place, in -1..1. With the angle of rotor j's force turning by s_j (+1 clockwise from above):
         cov(gz, ax) ~ -s_j x_j,  cov(gz, ay) ~ -s_j y_j,  mean(ax(t-1) ay(t) - ay(t-1) ax(t)) ~ s_j sin(Omega dt)
     after subtracting the airframe's own healthy values. The third, the sense of turning, separates neighbours even if
-    gyro and accelerometer are filtered differently by a millisecond, which turns the first two by 60 degrees.
+    gyro and accelerometer are filtered differently, by a millisecond.
 
     Warm-up: 60 ms of filter, half a second, unbroken and valid. Latency: 30 ms and (threshold^2 - healthy^2)/fault^2 of
     the window. False alarms: another session's propellers. Blind spots: cracks (0.22 g mm is what a healthy rotor may
@@ -227,6 +219,7 @@ class Unbalance(Monitor[UnbalanceSpec]):
     depends = frozenset({Condition.THROTTLE, Condition.HEIGHT})
     evidence = RotorEvidence(8.0)  # the sense of turning and the place agree (1) or do not (0 and below)
     least_hz = LEAST_RATE_HZ
+    tick_s = TICK_S
     spec_type = UnbalanceSpec
     takes = MappingProxyType({Signal.SPECIFIC_FORCE: ALONG_DISCS})
     run = staticmethod(run)
@@ -235,7 +228,7 @@ class Unbalance(Monitor[UnbalanceSpec]):
         super().__init__(spec)
         self.unit = "m/s^2" if spec.mass_kg is None else "g mm"
         self.feature = None if spec.mass_kg is None else Feature.UNBALANCE
-        self.memory_s = spec.window_s + (len(spec.taps) + spec.tick) * spec.dt_s
+        self.memory_s = spec.window_s + (len(spec.taps) + self.tick(spec.dt_s)) * spec.dt_s
 
     @classmethod
     def need_stream(cls, rate_hz: float, imu_corner_hz: float | None = None, hover_rad_s: float | None = None) -> None:
@@ -268,17 +261,13 @@ class Unbalance(Monitor[UnbalanceSpec]):
         new = _learnt(replace(self.spec, covariance=(0.0, 0.0), spread=(1.0, 1.0), turning=0.0, power=1.0), flights)
         return new, (new.power / self.spec.power) ** 0.5
 
-    def period_s(self, dt_s: float) -> float:
-        """A tick [s]."""
-        return self.spec.tick * self.spec.dt_s
-
     def begin(self, dt_s: float) -> Begin:
         """No row yet."""
         spec, taps = self.spec, self.spec.taps
         noise = (CLEAR * math.hypot(*spec.spread)) ** 2
-        ticks = max(1, round(spec.window_s / (spec.tick * spec.dt_s)))
-        head = [spec.tick, ticks, spec.scale, spec.power, spec.turning, *spec.covariance, noise]
-        par = np.array([*head, _carries_line(1 / spec.dt_s), len(taps), *_patterns(spec.layout).ravel(), *taps])
+        ticks = max(1, round(spec.window_s / self.period_s(dt_s)))
+        head = [self.tick(dt_s), ticks, spec.scale, spec.power, spec.turning, *spec.covariance, noise]
+        par = np.array([*head, _carries_line(1 / dt_s), len(taps), *_patterns(spec.layout).ravel(), *taps])
         return Begin(par, np.zeros(MEAN + mean_size(ticks, COLUMNS)), len(taps) - 1)
 
 
@@ -307,5 +296,5 @@ def _learnt(before: UnbalanceSpec, flights: Flights) -> UnbalanceSpec:
 
 def _means(spec: UnbalanceSpec, flight: Sequence[Rows]) -> FloatArray:
     """The full window means of a flight, (k, COLUMNS)."""
-    found = [one[TRACE:, one[SOUND] > 0.5] for one in traced(Unbalance(spec), flight, COLUMNS)]
-    return np.concatenate([np.empty((COLUMNS, 0)), *found], axis=1).T
+    out = traced(Unbalance(spec), flight, COLUMNS)
+    return np.compress(out[SOUND] > 0.5, out[TRACE:], axis=1).T

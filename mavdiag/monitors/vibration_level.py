@@ -70,10 +70,6 @@ class VibrationLevel(Monitor[VibrationLevelSpec]):
     reach = LIMIT_M_S2
     run = staticmethod(run)
 
-    def __init__(self, spec: VibrationLevelSpec) -> None:
-        super().__init__(spec)
-        self.memory_s = spec.window_s
-
     @classmethod
     def fit(cls, flights: Flights, context: LearnContext) -> tuple[VibrationLevelSpec, ...]:
         """Healthy mean level. Raises InputError if the vehicle sends no VIBRATION, or one of another meaning (PX4)."""

@@ -1,4 +1,4 @@
-"""Running figures of compiled loops: means over windows, and the last values in a row for a filter.
+"""Running figures of compiled loops: means over windows, and exponential ones.
 
 The memory of a loop is one array; each figure has a part of it, from `at` on, zero before the first value. A figure is
 a fold over its values, so any cut of them gives the same bits.
@@ -49,20 +49,6 @@ def _sum(values: FloatArray) -> float:
 def total(mem: FloatArray, at: int, columns: int, column: int) -> float:
     """Sum of a column over the window."""
     return float(mem[at + FRESH + columns + column])
-
-
-def past_size(length: int) -> int:
-    """Length of the part of the last so many values."""
-    return 1 + 2 * length
-
-
-@jit
-def shift(mem: FloatArray, at: int, length: int, value: float) -> int:
-    """Take a value; return where the last `length` ones lie in a row: each is written twice, a length apart."""
-    place = int(mem[at])
-    mem[at + 1 + place] = mem[at + 1 + place + length] = value
-    mem[at] = place = (place + 1) % length
-    return at + 1 + place
 
 
 @jit

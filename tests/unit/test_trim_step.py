@@ -108,7 +108,7 @@ def test_ground_effect_is_no_reference() -> None:
     assert next(monitor.over([rows])).value.max() > LEAST
     columns, begun = columns_of(rows, no_past(0)), monitor.begin(DT_S)
     columns.x[COVERED] = rows.block.t_ns > 21e9
-    found = monitor.judge(begun.par, begun.mem, rows, columns)[0]
+    found = monitor.judge(begun, rows, columns, 0)[0]
     assert found.value[found.valid].max() < LEAST
     assert found.t_ns[found.valid][0] >= 30.9e9
 
