@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal, TypeAlias
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, PositiveFloat, Tag, ValidationError
 
 from mavdiag.airframe.airframe import Airframe, Scope
+from mavdiag.airframe.balance import FASTEST_RPM
 from mavdiag.airframe.layout import LAYOUTS, Place, RotorLayout, layout_at, layout_named, layout_of_effects
 from mavdiag.errors import InputError, UsageError
 from mavdiag.rows.gate import GateSpec, Height, Share, Span
@@ -27,15 +28,18 @@ class _Table(BaseModel):
 
 
 class _Place(_Table):
-    x_m: float
-    y_m: float
+    x_m: Annotated[float, Field(ge=-100, le=100)]
+    y_m: Annotated[float, Field(ge=-100, le=100)]
     spin: Literal["cw", "ccw"]
 
 
+_Effective: TypeAlias = Annotated[float, Field(ge=-1e6, le=1e6)]
+
+
 class _Effect(_Table):
-    roll: float
-    pitch: float
-    yaw: float
+    roll: _Effective
+    pitch: _Effective
+    yaw: _Effective
 
 
 _Rotor: TypeAlias = Annotated[
@@ -59,7 +63,7 @@ class _File(_Table):
     rotors: list[_Rotor] = []
     outputs: list[Annotated[int, Field(ge=1, le=32)]] | None = None
     mass_kg: PositiveFloat | None = None
-    hover_rpm: PositiveFloat | None = None
+    hover_rpm: Annotated[float, Field(gt=0, le=FASTEST_RPM)] | None = None
     imu_corner_hz: PositiveFloat | None = None
     gate: _Gate | None = None
     classifier: str | None = None

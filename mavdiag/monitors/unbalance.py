@@ -279,7 +279,8 @@ def _patterns(layout: RotorLayout | None) -> FloatArray:
     # [ cov(gz, ax) ]        [ x_j ]         [  pitch_j ]
     # [ cov(gz, ay) ]  ~ -s_j [ y_j ]  ~ yaw_j [ -roll_j  ]
     pattern = yaw * np.stack((pitch, -roll))
-    return np.column_stack(((pattern / np.linalg.norm(pattern, axis=0)).T, -np.sign(yaw)))
+    sizes = np.linalg.norm(pattern, axis=0)
+    return np.column_stack(((pattern / np.where(sizes > 0, sizes, 1.0)).T, -np.sign(yaw)))  # 0 of a rotor in the middle
 
 
 def _learnt(before: UnbalanceSpec, flights: Flights) -> UnbalanceSpec:

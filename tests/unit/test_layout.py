@@ -332,6 +332,8 @@ REFUSED = [
     ("", "name: Field required"),
     ('name = "a"\nmass_kg = "1"', "mass_kg: Input should be a valid number"),
     ('name = "a"\nhover_rpm = nan', "hover_rpm: Input should be a finite number"),
+    ('name = "a"\nhover_rpm = 1e7', "hover_rpm: Input should be less than or equal to 1000000"),
+    (f'name = "a"\n{PLACE}[[rotors]]\nx_m=1\ny_m=1e3', "rotors.2.y_m: Input should be less than or equal to 100"),
     ('name = "a"\nlayout = "tri"', "layout: no layout 'tri': use one of qdrone2, "),
     ('name = "a"\n[gate]\nmin_hight_m = 1', "gate.min_hight_m: no such key"),
     ('name = "a"\n[gate]\ntrim_start_s = 1e12', "gate.trim_start_s: Input should be less than or equal to 600"),
