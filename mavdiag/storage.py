@@ -30,6 +30,7 @@ TOML_BYTES = 32 << 10  # the longest of ours has 7 kB; tomllib takes seconds for
 TEXT_BYTES = 8 << 20  # baselines have some hundred kilobytes (our choice)
 SHELF_BYTES = 8 << 20  # of arrays that a shelf keeps in memory before it opens its file (our choice)
 COLUMN_BYTES = 8 << 20  # of a column that comes piece by piece, until it goes into a file (our choice)
+COLUMN_ROWS = 512  # that it has room for at first: what a live link brings in two seconds (our choice)
 COLLECT_AT = 20_000  # containers more than before; a tick of a full link makes some thousands (our choice; Python: 700)
 KEPT = 8  # our choice: fewer are given back and faulted in again for each flight, and the most memory is the same
 MMAP_THRESHOLD, TRIM_THRESHOLD = -3, -1  # options of mallopt(3)
@@ -204,23 +205,32 @@ class Column:
     """
 
     def __init__(self, like: NDArray[Any]) -> None:
-        self._dtype, self._shape, self._count = like.dtype, like.shape[1:], 0
-        self._file = tempfile.SpooledTemporaryFile(COLUMN_BYTES)  # noqa: SIM115  # until it is mapped
+        self._rows, self._count = np.empty((COLUMN_ROWS, *like.shape[1:]), like.dtype), 0
+        self._file: BinaryIO | None = None
 
     def add(self, rows: NDArray[Any]) -> None:
         """Put rows behind those that came. Raises UsageError if the disk is full."""
-        self._count += len(rows)
+        first, self._count = self._count, self._count + len(rows)
+        if self._file is None:
+            if self._count > len(self._rows):  # room for as much again
+                before, room = self._rows[:first], max(self._count, 2 * first)
+                self._rows = np.empty((room, *before.shape[1:]), before.dtype)
+                self._rows[:first] = before
+            self._rows[first : self._count] = rows
+            if self._rows[: self._count].nbytes < COLUMN_BYTES:
+                return
+            self._file, rows = tempfile.TemporaryFile(buffering=0), self._rows[: self._count]  # noqa: SIM115  # until it is mapped
+            self._rows = rows[:0].copy()
         with enough_room(rows.nbytes):
-            self._file.write(rows.tobytes())
+            _write(self._file, rows)
 
     def whole(self) -> NDArray[Any]:
         """All rows, read-only if they lie in a file."""
-        shape = self._count, *self._shape
-        with self._file as file, enough_room(file.tell()):
-            if file.tell() > COLUMN_BYTES:
-                return np.memmap(file, self._dtype, "r", shape=shape).view(np.ndarray)
-            file.seek(0)
-            return np.ndarray(shape, self._dtype, bytearray(file.read()))
+        if self._file is None:
+            self._rows.resize((self._count, *self._rows.shape[1:]), refcheck=False)
+            return self._rows
+        with self._file as file:
+            return np.memmap(file, self._rows.dtype, "r", shape=(self._count, *self._rows.shape[1:])).view(np.ndarray)
 
 
 def forget(*arrays: NDArray[Any]) -> None:
