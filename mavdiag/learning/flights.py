@@ -139,7 +139,7 @@ def airborne(
     answers: dict[Hashable, list[Any]] = {what: [] for what in glances}
     held, makers, judged, flown = hold(flight, shelf), list[Callable[[], Rows]](), 0, 0
     for rows in pieces_of(front, held.pieces()):
-        judged, flown = judged + int(np.count_nonzero(rows.rates.valid)), flown + len(rows.block)
+        judged, flown = judged + int(np.count_nonzero(rows.rates.rated)), flown + len(rows.block)
         for what, glance in glances.items():
             answers[what] += glance(rows)
         sent, speeds = rows.block.actuator.T[:outputs], rows.block.rotor_speed.T[:outputs]

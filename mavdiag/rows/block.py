@@ -60,10 +60,14 @@ class Part(Generic[Kind]):
         return self.find((np.empty((SPEEDS, 0)) if block is None else block.x)[self.at])
 
 
+def rows_of(first: int, stop: int) -> Part[np.float64]:
+    """The rows of a vector, or of a number."""
+    return Part(first if stop == first + 1 else slice(first, stop), lambda x: x.T)
+
+
 def signal(signal: Signal) -> Part[np.float64]:
     """The rows of a signal."""
-    first, stop = PLACES[signal]
-    return Part(first if stop == first + 1 else slice(first, stop), lambda x: x.T)
+    return rows_of(*PLACES[signal])
 
 
 def flag(at: int) -> Part[np.bool_]:
@@ -81,6 +85,9 @@ class Block:
     segment: number of the unbroken span of flight. t_ns: (n,) vehicle time. whole: (rows, ..) memory, in which its own
     columns x, (rows, n), see `VALID`, begin with `first`; what is in front is room for those of before (`columns_of`).
     outputs: how many outputs the vehicle has sent; actuator is (n, outputs), rotor_speed (n, ESCs).
+    u: (n, 3) commanded body rates p, q, r [rad/s], 0 where no set-point is known. y: (n, 3) measured ones, smoothed.
+    gyro: as they were measured. rated: the gyro was valid in the whole window. commanded: so was the set-point: u and y
+    may be compared.
     settled_ns: rows before it are of a take-off, or of the start of the data.
     """
 
@@ -103,7 +110,8 @@ class Block:
     armed = signal(Signal.ARMED)
     vibration = signal(Signal.VIBRATION)
     rotor_speed = signal(Signal.ROTOR_SPEED)
-    valid, setpoint_valid = flag(VALID), flag(SETPOINT)
+    u, y, gyro = rows_of(U, Y), rows_of(Y, GYRO), rows_of(GYRO, OUTPUTS)
+    valid, setpoint_valid, rated, commanded = flag(VALID), flag(SETPOINT), flag(WHOLE), flag(COMMANDED)
     doubt = Part[np.float64](DOUBT, lambda x: x)
 
     @property
@@ -143,28 +151,6 @@ class Block:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RateBlock:
-    """The rates of consecutive rows of one segment.
-
-    u: (n, 3) commanded body rates p, q, r [rad/s]; finite, 0 where no set-point is known.
-    y: (n, 3) measured body rates, smoothed [rad/s]. gyro: the same as they were measured.
-    valid: (n,) the gyro was valid in the whole window. commanded: so were gyro and set-point: u and y may be compared.
-    """
-
-    segment: int
-    dt_s: float
-    t_ns: IntArray
-    x: FloatArray
-
-    u, y = Part[np.float64](slice(U, Y), lambda x: x.T), Part[np.float64](slice(Y, GYRO), lambda x: x.T)
-    gyro = Part[np.float64](slice(GYRO, OUTPUTS), lambda x: x.T)
-    valid, commanded = flag(WHOLE), flag(COMMANDED)
-
-    def __len__(self) -> int:
-        return len(self.t_ns)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Rows:
     """The next aligned rows of one segment, and the filtered rates that they complete (half a window later).
 
@@ -175,10 +161,10 @@ class Rows:
     rates_ns: IntArray
 
     @property
-    def rates(self) -> RateBlock:
-        """The rates alone."""
+    def rates(self) -> Block:
+        """The columns with rates alone, at the times of these."""
         block, lag = self.block, len(self.block) - len(self.rates_ns)
-        return RateBlock(block.segment, block.dt_s, self.rates_ns, block.x[:, lag:])
+        return replace(block, t_ns=self.rates_ns, first=block.first + lag)
 
     def part(self, first: int, stop: int, segment: int | None = None, from_ns: int | None = None) -> "Rows":
         """Rows [first, stop), of another segment if asked, with the rates that they complete from a time on."""
