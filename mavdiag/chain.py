@@ -18,13 +18,12 @@ from mavdiag.decision.alarm import NOTHING_SEEN, DecisionSpec, DecisionState
 from mavdiag.decision.diagnosis import Change, Diagnosis, Event
 from mavdiag.decision.grading import known_fault_types
 from mavdiag.errors import BaselineError, InputError
-from mavdiag.kernel import LOOK_NS, VALUES, Account, Gauge, Kernel, Memory, Piece, Slot
+from mavdiag.kernel import LOOK_NS, Account, Kernel, Memory, Piece, Slot
 from mavdiag.kernel import warm as warm_kernel
 from mavdiag.link.samples import joined
 from mavdiag.link.samples import warm as warm_samples
 from mavdiag.monitors import MONITORS, monitor_of
 from mavdiag.rows.align import BREAK_S, AlignSpec
-from mavdiag.rows.answer import warm as warm_answer
 from mavdiag.rows.front import Front, FrontState, Rows
 from mavdiag.rows.front import warm as warm_rows
 from mavdiag.rows.gate import Border
@@ -56,11 +55,6 @@ class ChainOutput(NamedTuple):
     likeness: Likeness | None = None
     pieces: tuple[Piece, ...] = ()
 
-    @property
-    def gauges(self) -> tuple[Gauge, ...]:
-        """The latest value of every slot that has one."""
-        return self.pieces[-1].gauges if self.pieces else ()
-
 
 NOTHING = ChainOutput()
 
@@ -91,11 +85,6 @@ class ChainState:
         """What is held of the vehicle now."""
         held = self.decision.diagnosis
         return replace(held, reason=self.refused) if self.refused else held
-
-    @property
-    def idle(self) -> tuple[int, ...]:
-        """The slots that have not judged anything yet, by number."""
-        return tuple(np.flatnonzero(self.memory.tally[:, VALUES] == 0).tolist())
 
     @property
     def ratios(self) -> tuple[tuple[Slot, float], ...]:
@@ -278,7 +267,6 @@ def _gyro_s(pieces: Sequence[Telemetry]) -> float:
 def warm() -> None:
     """Compile what judges (about a minute of processor time), or load it from where it is kept (half a second)."""
     warm_rows()
-    warm_answer()
     warm_samples()
     warm_kernel()
 

@@ -386,20 +386,6 @@ class Alarm(NamedTuple):
     level: float
 
 
-@dataclass(frozen=True, slots=True)
-class Gauge:
-    """The latest value of one slot, for a display; fields as in `Slot` and `Statistic`."""
-
-    monitor: str
-    axis: Axis | None
-    unit: str
-    statistic: float
-    threshold: float
-    signal: float
-    reference: float
-    valid: bool
-
-
 class Piece(NamedTuple):
     """What was made of some rows: the values of each slot, as the envelope lets them count."""
 
@@ -433,19 +419,10 @@ class Piece(NamedTuple):
             at=[at[:count].copy() for at, count in zip(self.at, counts, strict=True)],
         )
 
-    @property
-    def gauges(self) -> tuple[Gauge, ...]:
-        """The latest value of every slot that has one."""
-        return tuple(gauge for number in range(len(self.slots)) if (gauge := self.gauge(number)) is not None)
-
-    def gauge(self, number: int) -> Gauge | None:
-        """The latest value of a slot, None if it has none."""
-        slot, count = self.slots[number], int(self.counts[number])
-        if not count:
-            return None
-        monitor, latest = slot.monitor, self.out[number][:, count - 1].tolist()
-        figures = (latest[col.VALUE], slot.threshold, latest[monitor.shown], monitor.reference)
-        return Gauge(*slot.key, monitor.unit, *figures, valid=latest[col.SOUND] > 0.5)
+    def latest(self, number: int) -> list[float] | None:
+        """What the monitor of a slot wrote last (`rows.block.VALUE` ...), None if nothing."""
+        count = int(self.counts[number])
+        return self.out[number][:, count - 1].tolist() if count else None
 
 
 class Looked(NamedTuple):
@@ -662,10 +639,9 @@ class Kernel:
 
     def accounts(self, memory: Memory) -> tuple[Account, ...]:
         """How long each slot judged, and why it did not."""
-        return tuple(self.account(memory, number) for number in range(len(self.slots)))
+        return tuple(self._account(memory, number) for number in range(len(self.slots)))
 
-    def account(self, memory: Memory, number: int) -> Account:
-        """How long a slot judged, and why it did not."""
+    def _account(self, memory: Memory, number: int) -> Account:
         slot, period_s, (values, peak) = self.slots[number], self.periods_s[number], memory.tally[number].tolist()
         lacking = {str(DOUBTS[i]): int(n) * self.dt_s for i, n in enumerate(memory.doubts) if i and n}
         for signal in self._needs[number]:
