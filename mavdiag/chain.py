@@ -19,7 +19,6 @@ from mavdiag.decision.diagnosis import Change, Diagnosis, Event
 from mavdiag.decision.grading import known_fault_types
 from mavdiag.errors import BaselineError, InputError
 from mavdiag.kernel import LOOK_NS, Account, Kernel, Memory, Piece, Slot
-from mavdiag.kernel import warm as warm_kernel
 from mavdiag.link.samples import joined
 from mavdiag.link.samples import warm as warm_samples
 from mavdiag.monitors import MONITORS, monitor_of
@@ -160,7 +159,7 @@ class Chain:
         if state.measured:
             self._append(state)
         next_ns = (align.last_ns // LOOK_NS + 1) * LOOK_NS
-        return min(max(0, self.front.align.expected_ns(align, next_ns) - align.newest_ns), 2 * LOOK_NS)
+        return min(self.front.align.missing_ns(align, next_ns), 2 * LOOK_NS)
 
     def end_flight(self, state: ChainState, *, landed: bool = True) -> ChainOutput:
         """It cannot be followed any longer: close what is open. Rows may go on later. landed: else a fault stays."""
@@ -266,9 +265,11 @@ def _gyro_s(pieces: Sequence[Telemetry]) -> float:
 
 def warm() -> None:
     """Compile what judges (about a minute of processor time), or load it from where it is kept (half a second)."""
-    warm_rows()
     warm_samples()
-    warm_kernel()
+    kernel = Kernel((), (), 0.01, 0.02)
+    for part in warm_rows():
+        if isinstance(part, Rows):
+            kernel.step(kernel.start(), part)
 
 
 def suited(baseline: Baseline, log: Log) -> Baseline:
