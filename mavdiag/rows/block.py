@@ -131,10 +131,8 @@ class Block:
         """Rows [first, stop) as a block of their own, of another segment, or settled at another time, if asked."""
         segment = self.segment if segment is None else segment
         settled_ns = self.settled_ns if settled_ns is None else settled_ns
-        if stop - first == len(self.t_ns) and segment == self.segment and settled_ns == self.settled_ns:
-            return self
-        t_ns = self.t_ns[first:stop]
-        return Block(segment, self.dt_s, t_ns, self.whole, self.outputs, settled_ns, self.first + first)
+        t_ns, place = self.t_ns[first:stop], self.first + first
+        return Block(segment, self.dt_s, t_ns, self.whole, self.outputs, settled_ns, place)
 
     def known(self, signal: Signal, columns: slice = slice(None)) -> BoolArray:
         """(n,) where the row carries these columns of a signal; nowhere if rows have none for it.
@@ -218,8 +216,8 @@ def in_rotor_order(block: Block, outputs: Sequence[int] | None) -> Block:
         return block
 
     def by_rotor(sent: FloatArray) -> FloatArray:
-        absent = np.full(len(block), np.nan)
-        return np.array([sent[one - 1] if one <= len(sent) else absent for one in outputs]) if len(sent) else sent
+        with_absent = np.vstack((sent, np.full(len(block), np.nan)))
+        return with_absent[np.minimum(outputs, len(sent) + 1) - 1] if len(sent) else sent
 
     return with_outputs(block, by_rotor(block.actuator.T), by_rotor(block.rotor_speed.T), block.first)
 
