@@ -32,7 +32,7 @@ from mavdiag.printable import counted
 from mavdiag.rows.front import Front, Rows
 from mavdiag.rows.gate import GateSpec
 from mavdiag.rows.grid import steps_of
-from mavdiag.rows.quality import LinkQuality, learnt_quality
+from mavdiag.rows.quality import LinkQuality, adds_nothing, learnt_quality
 from mavdiag.rows.upsets import MARGIN_S, motion_of, upset_in
 from mavdiag.rows.windows import means_from, window_rows
 from mavdiag.storage import Shelf, give_back
@@ -407,8 +407,9 @@ def taught(
     if not flights:
         raise InputError(f"no healthy flight remains to learn from ({'; '.join(left_out)}); record others")
     front = replace(front, align=replace(front.align, quality=_quality_of(flights)))
-    for i, flight in enumerate(flights):  # one after the other, so that no more than one is there twice
-        flights[i] = airborne(front, flight.held, shelf, outputs)
+    for i, flight in enumerate(flights):  # made anew only where that makes a difference
+        if not adds_nothing(front.align.quality, flight.held.pieces()):
+            flights[i] = airborne(front, flight.held, shelf, outputs)
     give_back()
     return Taught(front, tuple(flights), tuple(left_out))
 

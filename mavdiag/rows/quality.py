@@ -199,7 +199,16 @@ RUNS = NUMBERS + AMONG + MOST_LOST + 1
 STAMPS_CODE, RESOLUTION_CODE, FROZEN_CODE = (
     DOUBTS.index(one) for one in (Doubt.STAMPS, Doubt.RESOLUTION, Doubt.FROZEN)
 )
+PIECE = 1 << 16  # samples that learning looks at together
 TOGETHER = 64  # samples of the usual case that are looked at together
+
+
+class Memory:
+    """What is remembered of one signal between pieces; changed in place. waiting: samples that later ones decide on."""
+
+    def __init__(self, columns: int) -> None:
+        self.figures, self.counts = np.zeros(COLUMN + 4 * columns), np.zeros(RUNS + 1 + columns, dtype=np.int64)
+        self.waiting: Series | None = None
 
 
 class Samples(NamedTuple):
@@ -504,17 +513,45 @@ NO_FIGURES, NO_RUNS = np.empty(0), np.empty(0, dtype=np.int64)
 def believed(quality: LinkQuality, telemetry: Telemetry) -> Telemetry:
     """A log without its lost samples, nan where it is dead; the gyro with a fourth column, a place in `DOUBTS`."""
     sized = ((one, one.values.shape[1]) for one in telemetry.series)
-    looked = (_looked(quality.rule(one.signal, columns), one) for one, columns in sized)
+    looked = (_looked(quality.rule(one.signal, columns), Memory(columns), one) for one, columns in sized)
     return Telemetry(tuple(filter(len, looked)))
 
 
-def _looked(rule: FloatArray, series: Series, seen: FloatArray = NO_FIGURES, runs: IntArray = NO_RUNS) -> Series:
-    """What is believed of all samples of a signal."""
-    columns, t_ns, host_ns = series.values.shape[1], series.t_ns.copy(), series.host_ns.copy()
-    values = np.empty((columns + int(rule[GYRO]), len(series)))
-    values[:columns] = series.values.T
-    memory = np.zeros(COLUMN + 4 * columns), np.zeros(RUNS + 1 + columns, dtype=np.int64)
-    kept, _, _ = look_at(Samples(columns, rule, *memory, t_ns, host_ns, values, 0), 0, seen, runs)
+def adds_nothing(quality: LinkQuality, pieces: Iterable[Telemetry]) -> bool:
+    """Whether the same of a log, which comes in pieces, is believed of a link of which nothing is known, and at once.
+
+    What comes out as it came in would do so there as well.
+    """
+    memories = dict[Signal, Memory]()
+    for series in (series for piece in pieces for series in piece.series):
+        columns = series.values.shape[1]
+        memory = memories.setdefault(series.signal, Memory(columns))
+        found = _looked(quality.rule(series.signal, columns), memory, series)
+        if memory.waiting is not None and len(memory.waiting):
+            return False
+        if np.array_equal(found.values[:, :columns], series.values) and not found.values[:, columns:].any():
+            continue
+        other = _looked(LinkQuality().rule(series.signal, columns), Memory(columns), series)
+        if not np.array_equal(found.values, other.values, equal_nan=True):
+            return False
+    return True
+
+
+def _looked(
+    rule: FloatArray, memory: Memory, series: Series, seen: FloatArray = NO_FIGURES, runs: IntArray = NO_RUNS
+) -> Series:
+    """What is believed of the next samples of a signal, and of those that waited."""
+    columns, before = series.values.shape[1], memory.waiting
+    waited = 0 if before is None else len(before)
+    count = waited + len(series)
+    t_ns, host_ns = np.empty(count, dtype=np.int64), np.empty(count, dtype=np.int64)
+    values = np.empty((columns + int(rule[GYRO]), count))
+    if before is not None:
+        t_ns[:waited], host_ns[:waited], values[:, :waited] = before.t_ns, before.host_ns, before.values.T
+    t_ns[waited:], host_ns[waited:], values[:columns, waited:] = series.t_ns, series.host_ns, series.values.T
+    samples = Samples(columns, rule, memory.figures, memory.counts, t_ns, host_ns, values, 0)
+    kept, done, there = look_at(samples, waited, seen, runs)
+    memory.waiting = Series(series.signal, t_ns[done:there], host_ns[done:there], values[:, done:there].T)
     return Series(series.signal, t_ns[:kept], host_ns[:kept], values[:, :kept].T)
 
 
@@ -562,12 +599,13 @@ def _between(series: Series, first_ns: int, last_ns: int) -> Series:
 
 def _watched(habit: Habit, series: Series) -> tuple[FloatArray, IntArray]:
     """`seen` and `runs` of `look_at`, of the samples that are not lost by what the habit says of leaps."""
-    columns, runs = series.values.shape[1], np.full(len(series), -1)
+    columns, runs = series.values.shape[1], np.empty(len(series), dtype=np.int64)
     rule = LinkQuality(habits=(habit,)).rule(series.signal, columns)
     rule[[ZERO_IS_DEAD, NOT_ZERO]], rule[[MOST_JITTER, MOST_STEP]], rule[LEAP + 3 * columns :] = 0.0, np.inf, np.inf
-    seen = np.zeros(columns + 2)
-    _looked(rule, series, seen, runs)
-    return seen, runs[runs >= 0]
+    memory, seen = Memory(columns), np.zeros(columns + 2)
+    for first in range(0, len(series), PIECE):
+        _looked(rule, memory, series.where(slice(first, first + PIECE)), seen, runs)
+    return seen, runs[: memory.counts[TRACED]]
 
 
 @cached_loop

@@ -13,7 +13,7 @@ from made_telemetry import cut
 import mavdiag as md
 from mavdiag.judging import LogVerdict
 from mavdiag.rows.align import HI, LO, PLACES, AlignSpec
-from mavdiag.rows.quality import LinkQuality, believed, learnt_quality
+from mavdiag.rows.quality import LinkQuality, adds_nothing, believed, learnt_quality
 from mavdiag.telemetry import FloatArray, IntArray, Log, Series, Signal, Telemetry
 
 N, AT = 3000, 1600
@@ -194,9 +194,13 @@ def test_a_fast_set_point_hides_no_error_of_the_size_of_its_steps(at: int, error
     assert set(range(len(values))) - kept(values) == set(range(at, at + samples))
 
 
-def test_what_was_learnt_believes_all_of_its_own_log() -> None:
-    telemetry = Telemetry((turning(),))
-    assert len(believed(smooth(), telemetry).need(turning().signal)) == len(turning())
+def test_what_was_learnt_believes_all_of_its_own_log_and_not_an_error_in_it() -> None:
+    series, values = turning(), turning().values.copy()
+    values[1000, 0] += 2.0
+    wrong = Telemetry((Series(series.signal, series.t_ns, series.t_ns, values),))
+    assert adds_nothing(smooth(), [Telemetry((series,))])
+    assert not adds_nothing(smooth(), [wrong])
+    assert adds_nothing(LinkQuality(), [wrong])
 
 
 @pytest.mark.parametrize(("signal", "used"), [(Signal.HEIGHT, 79), (Signal.ROTOR_SPEED, 1)])
