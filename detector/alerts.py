@@ -18,6 +18,7 @@ from mavdiag.decision.words import finding_words, motors_words
 from mavdiag.link.codec import TEXT_BYTES
 from mavdiag.link.messages import Severity
 from mavdiag.monitors.base import FaultKind
+from mavdiag.rows.block import RESIDUAL, VALUE
 from mavdiag.telemetry import Axis, Instant
 
 GAP_S = 2.0  # MAVProxy suppresses identical text within 2 s
@@ -244,13 +245,14 @@ class NamedValues:
         piece = output.pieces[-1]
         thesis = [number for number, slot in enumerate(piece.slots) if slot.monitor.name == "fsd"]
         thesis.sort(key=lambda number: piece.slots[number].monitor.axis is not Axis.ROLL)
-        gauge = next((gauge for number in thesis if (gauge := piece.gauge(number)) is not None), None)
-        if gauge is None:
+        found = next(((piece.slots[number], latest) for number in thesis if (latest := piece.latest(number))), None)
+        if found is None:
             return []
-        self._residual = max(self._residual, gauge.signal, key=abs)
-        self._fsd_s = max(self._fsd_s, gauge.statistic)
+        slot, latest = found
+        self._residual = max(self._residual, latest[RESIDUAL], key=abs)
+        self._fsd_s = max(self._fsd_s, latest[VALUE])
         if self._sent is not None and now - self._sent < self._period_s:
             return []
-        figures = (self._residual, gauge.reference, self._fsd_s, gauge.threshold)
+        figures = (self._residual, slot.monitor.reference, self._fsd_s, slot.threshold)
         self._sent, self._residual, self._fsd_s = now, 0.0, 0.0
         return [SendFloat(name, value, output.now_ns) for name, value in zip(self.NAMES, figures, strict=True)]

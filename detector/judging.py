@@ -85,12 +85,12 @@ class Judge:
         if streams.began is None or now - streams.began < STREAM_S or now - self._asked < ASK_S:
             return self._unjudged
         self._asked, self._unjudged = now, {}
-        idle, kernel = self.memory.idle if self.flight_s > WARM_S else (), self.chain.kernel
-        for number, slot in enumerate(self.chain.slots):
+        warm = self.flight_s > WARM_S
+        for slot, account in zip(self.chain.slots, self.memory.accounts, strict=True):
             label = slot.monitor.label
             if missing := streams.missing(slot.monitor.signals):
                 self._unjudged[label] = f"no {LABELS[missing]}"
-            elif number in idle and (reasons := unjudged_s(kernel.account(self.memory.memory, number))):
+            elif warm and account.judged_s == 0 and (reasons := unjudged_s(account)):
                 self._unjudged[label] = max(reasons, key=lambda reason: reasons[reason])
         return self._unjudged
 

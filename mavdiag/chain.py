@@ -18,13 +18,11 @@ from mavdiag.decision.alarm import NOTHING_SEEN, DecisionSpec, DecisionState
 from mavdiag.decision.diagnosis import Change, Diagnosis, Event
 from mavdiag.decision.grading import known_fault_types
 from mavdiag.errors import BaselineError, InputError
-from mavdiag.kernel import LOOK_NS, VALUES, Account, Gauge, Kernel, Memory, Piece, Slot
-from mavdiag.kernel import warm as warm_kernel
+from mavdiag.kernel import LOOK_NS, Account, Kernel, Memory, Piece, Slot
 from mavdiag.link.samples import joined
 from mavdiag.link.samples import warm as warm_samples
 from mavdiag.monitors import MONITORS, monitor_of
 from mavdiag.rows.align import BREAK_S, AlignSpec
-from mavdiag.rows.answer import warm as warm_answer
 from mavdiag.rows.front import Front, FrontState, Rows
 from mavdiag.rows.front import warm as warm_rows
 from mavdiag.rows.gate import Border
@@ -56,11 +54,6 @@ class ChainOutput(NamedTuple):
     likeness: Likeness | None = None
     pieces: tuple[Piece, ...] = ()
 
-    @property
-    def gauges(self) -> tuple[Gauge, ...]:
-        """The latest value of every slot that has one."""
-        return self.pieces[-1].gauges if self.pieces else ()
-
 
 NOTHING = ChainOutput()
 
@@ -91,11 +84,6 @@ class ChainState:
         """What is held of the vehicle now."""
         held = self.decision.diagnosis
         return replace(held, reason=self.refused) if self.refused else held
-
-    @property
-    def idle(self) -> tuple[int, ...]:
-        """The slots that have not judged anything yet, by number."""
-        return tuple(np.flatnonzero(self.memory.tally[:, VALUES] == 0).tolist())
 
     @property
     def ratios(self) -> tuple[tuple[Slot, float], ...]:
@@ -171,7 +159,7 @@ class Chain:
         if state.measured:
             self._append(state)
         next_ns = (align.last_ns // LOOK_NS + 1) * LOOK_NS
-        return min(max(0, self.front.align.expected_ns(align, next_ns) - align.newest_ns), 2 * LOOK_NS)
+        return min(self.front.align.missing_ns(align, next_ns), 2 * LOOK_NS)
 
     def end_flight(self, state: ChainState, *, landed: bool = True) -> ChainOutput:
         """It cannot be followed any longer: close what is open. Rows may go on later. landed: else a fault stays."""
@@ -277,10 +265,11 @@ def _gyro_s(pieces: Sequence[Telemetry]) -> float:
 
 def warm() -> None:
     """Compile what judges (about a minute of processor time), or load it from where it is kept (half a second)."""
-    warm_rows()
-    warm_answer()
     warm_samples()
-    warm_kernel()
+    kernel = Kernel((), (), 0.01, 0.02)
+    for part in warm_rows():
+        if isinstance(part, Rows):
+            kernel.step(kernel.start(), part)
 
 
 def suited(baseline: Baseline, log: Log) -> Baseline:

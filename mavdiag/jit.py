@@ -16,7 +16,7 @@ from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Literal, ParamSpec, Protocol, TypeVar, cast
+from typing import Any, ParamSpec, Protocol, TypeVar, cast
 
 import numba
 
@@ -31,42 +31,35 @@ class Decorator(Protocol):
         """The compiled function."""
 
 
-def _compiled(inline: Literal["never", "always"] = "never", **more: Any) -> Decorator:
-    options: Any = {"error_model": "numpy", "inline": inline, "_nrt": False, **more}
-    return cast(Decorator, lambda function: _once(numba.njit(**options)(function)))
+def _compiled(*, keep: bool = False, **more: Any) -> Decorator:
+    options: Any = {"error_model": "numpy", "_nrt": False, **more}
 
-
-def _once(compiled: Any) -> Any:
-    """Have compiled callers ask for plain types: numba compiles anew for each literal number, a loop's first 0 too."""
-    if hasattr(compiled, "get_call_template"):  # not with NUMBA_DISABLE_JIT=1
-        own, plain = compiled.get_call_template, cast(Any, numba.types.unliteral)
-        compiled.get_call_template = lambda args, kws: own([*map(plain, args)], {k: plain(v) for k, v in kws.items()})
-    return compiled
-
-
-def _kept(**more: Any) -> Decorator:
-    def keep(function: Callable[P, R]) -> Callable[P, R]:
-        options: Any = {"error_model": "numpy", **more}
+    def compiled(function: Any) -> Any:
         try:
-            compiled: Any = _once(numba.njit(cache=True, **options)(function))
+            made: Any = numba.njit(cache=keep, **options)(function)
         except RuntimeError:  # nowhere to keep it
-            return cast(Callable[P, R], _once(numba.njit(**options)(function)))
-        if hasattr(compiled, "_cache"):  # not with NUMBA_DISABLE_JIT=1
-            kept = compiled._cache  # noqa: SLF001  # numba has no other way in
+            made = numba.njit(**options)(function)
+        if not hasattr(made, "get_call_template"):  # with NUMBA_DISABLE_JIT=1
+            return made
+        # Have compiled callers ask for plain types: numba compiles anew for each literal number, a loop's first 0 too.
+        own, plain = made.get_call_template, cast(Any, numba.types.unliteral)
+        made.get_call_template = lambda args, kws: own([*map(plain, args)], {k: plain(v) for k, v in kws.items()})
+        kept = made._cache  # noqa: SLF001  # numba has no other way in
+        if hasattr(kept, "_index_key"):
             own_key = kept._index_key  # noqa: SLF001
-            kept._index_key = lambda *asked: (*own_key(*asked), _digest(compiled))  # noqa: SLF001
+            kept._index_key = lambda *asked: (*own_key(*asked), _digest(made))  # noqa: SLF001
             _take_over(Path(kept.cache_path), Path(function.__code__.co_filename), kept._impl.filename_base)  # noqa: SLF001
-        return cast(Callable[P, R], compiled)
+        return made
 
-    return keep
+    return compiled
 
 
 jit = _compiled()  # when a compiled function first calls it; no fast-math: results are reproducible
 summing = _compiled(fastmath={"reassoc", "contract", "nsz"})  # sums in any order, always in the same one
 allocating = _compiled(_nrt=True)  # as `jit`, for a function that makes arrays
-inline = _compiled("always")  # as `jit`, but merged into its caller: no cost for passing large tuples
-cached = _kept()  # on the first call; the machine code stays on disk, where there is a place for it
-cached_loop = _kept(_nrt=False)  # as `cached`, for a function that makes no arrays
+inline = _compiled(inline="always")  # as `jit`, but merged into its caller: no cost for passing large tuples
+cached = _compiled(keep=True, _nrt=True)  # on the first call; the machine code stays on disk, where there is a place
+cached_loop = _compiled(keep=True)  # as `cached`, for a function that makes no arrays
 
 
 def _take_over(own: Path, source: Path, base: str) -> None:

@@ -386,20 +386,6 @@ class Alarm(NamedTuple):
     level: float
 
 
-@dataclass(frozen=True, slots=True)
-class Gauge:
-    """The latest value of one slot, for a display; fields as in `Slot` and `Statistic`."""
-
-    monitor: str
-    axis: Axis | None
-    unit: str
-    statistic: float
-    threshold: float
-    signal: float
-    reference: float
-    valid: bool
-
-
 class Piece(NamedTuple):
     """What was made of some rows: the values of each slot, as the envelope lets them count."""
 
@@ -433,19 +419,10 @@ class Piece(NamedTuple):
             at=[at[:count].copy() for at, count in zip(self.at, counts, strict=True)],
         )
 
-    @property
-    def gauges(self) -> tuple[Gauge, ...]:
-        """The latest value of every slot that has one."""
-        return tuple(gauge for number in range(len(self.slots)) if (gauge := self.gauge(number)) is not None)
-
-    def gauge(self, number: int) -> Gauge | None:
-        """The latest value of a slot, None if it has none."""
-        slot, count = self.slots[number], int(self.counts[number])
-        if not count:
-            return None
-        monitor, latest = slot.monitor, self.out[number][:, count - 1].tolist()
-        figures = (latest[col.VALUE], slot.threshold, latest[monitor.shown], monitor.reference)
-        return Gauge(*slot.key, monitor.unit, *figures, valid=latest[col.SOUND] > 0.5)
+    def latest(self, number: int) -> list[float] | None:
+        """What the monitor of a slot wrote last (`rows.block.VALUE` ...), None if nothing."""
+        count = int(self.counts[number])
+        return self.out[number][:, count - 1].tolist() if count else None
 
 
 class Looked(NamedTuple):
@@ -662,10 +639,9 @@ class Kernel:
 
     def accounts(self, memory: Memory) -> tuple[Account, ...]:
         """How long each slot judged, and why it did not."""
-        return tuple(self.account(memory, number) for number in range(len(self.slots)))
+        return tuple(self._account(memory, number) for number in range(len(self.slots)))
 
-    def account(self, memory: Memory, number: int) -> Account:
-        """How long a slot judged, and why it did not."""
+    def _account(self, memory: Memory, number: int) -> Account:
         slot, period_s, (values, peak) = self.slots[number], self.periods_s[number], memory.tally[number].tolist()
         lacking = {str(DOUBTS[i]): int(n) * self.dt_s for i, n in enumerate(memory.doubts) if i and n}
         for signal in self._needs[number]:
@@ -718,9 +694,3 @@ def _stretches(before: tuple[Stretch, ...], rows_ns: IntArray, dt_s: float) -> t
         fresh[0] = (before[-1][0], fresh[0][1])
         before = before[:-1]
     return (*before, *fresh)
-
-
-def warm() -> None:
-    """Compile the pass, or load it from where it is kept."""
-    kernel, t_ns = Kernel((), (), 0.01, 0.02), 10_000_000 * np.arange(20)
-    kernel.step(kernel.start(), Rows(col.Block(0, 0.01, t_ns, np.zeros((col.OUTPUTS, len(t_ns)))), t_ns))

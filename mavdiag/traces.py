@@ -6,7 +6,7 @@ put them together, in order of time.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -38,8 +38,7 @@ class RateTrace:
         return self.measured - self.simulated
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SlotTrace:
+class SlotTrace(NamedTuple):
     """The statistic of one slot over time; `slot` has its name, axis, unit and threshold, the rest as `Statistic`."""
 
     slot: Slot
@@ -62,10 +61,8 @@ def rate_traces(chain: Chain, pieces: Sequence[Piece]) -> tuple[RateTrace, ...]:
 
 def slot_traces(chain: Chain, pieces: Sequence[Piece]) -> tuple[SlotTrace, ...]:
     """One for each slot, in the order of the chain."""
-    return tuple(
-        SlotTrace(slot, joined([piece.statistic(number) for piece in pieces]))
-        for number, slot in enumerate(chain.slots)
-    )
+    found = (joined([piece.statistic(number) for piece in pieces]) for number in range(len(chain.slots)))
+    return tuple(map(SlotTrace, chain.slots, found))
 
 
 def joined(found: Sequence[Statistic]) -> Statistic:

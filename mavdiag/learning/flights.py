@@ -128,7 +128,7 @@ def airborne(front: Front, flight: Log | HeldLog, outputs: int | None = None) ->
     """
     held, makers, judged, flown = hold(flight), list[Callable[[], Rows]](), 0, 0
     for rows in pieces_of(front, held.pieces()):
-        judged, flown = judged + int(np.count_nonzero(rows.rates.valid)), flown + len(rows.block)
+        judged, flown = judged + int(np.count_nonzero(rows.rates.rated)), flown + len(rows.block)
         sent, speeds = rows.block.actuator.T[:outputs], rows.block.rotor_speed.T[:outputs]
         block = with_outputs(rows.block, sent, speeds, ROOM)
         get = held.shelf.put([block.t_ns, block.whole.T, rows.rates_ns])

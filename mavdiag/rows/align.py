@@ -123,11 +123,6 @@ class AlignState:
         """Time of the last row [ns]."""
         return int(self.streams.now[LAST])
 
-    @property
-    def newest_ns(self) -> int:
-        """Latest time of the gyro [ns]."""
-        return self.reached[GYRO]
-
     def append(self, telemetry: Telemetry, spec: "AlignSpec") -> None:
         """Put samples behind those that came. Raises InputError if their columns are others than before."""
         places, ends, sent, reached = spec.places, self.ends, self.sent, self.reached
@@ -284,8 +279,8 @@ class AlignSpec:
                 found = newest[place]
         return found
 
-    def expected_ns(self, state: AlignState, row_ns: int) -> int:
-        """How far the gyro comes until a row is complete, if all streams keep their usual steps [ns]."""
+    def missing_ns(self, state: AlignState, row_ns: int) -> int:
+        """How much of the gyro is missing until a row is complete, if all streams keep their usual steps [ns]."""
         calm = self.grid is Grid.NATIVE and state.reached[GYRO] > int(state.streams.now[CALM])
         expected = row_ns + (ORDER_NS if calm else self.limits_ns[REORDER])
         for newest_ns, step_ns in zip(
@@ -293,7 +288,7 @@ class AlignSpec:
         ):
             if step_ns and newest_ns < row_ns:
                 expected = max(expected, row_ns + (newest_ns - row_ns) % step_ns)
-        return expected
+        return max(0, expected - state.reached[GYRO])
 
 
 def _widened(table: NDArray[Any], width: int, make: Callable[..., NDArray[Any]] = np.zeros) -> NDArray[Any]:

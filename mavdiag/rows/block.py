@@ -60,10 +60,14 @@ class Part(Generic[Kind]):
         return self.find((np.empty((SPEEDS, 0)) if block is None else block.x)[self.at])
 
 
+def rows_of(first: int, stop: int) -> Part[np.float64]:
+    """The rows of a vector, or of a number."""
+    return Part(first if stop == first + 1 else slice(first, stop), lambda x: x.T)
+
+
 def signal(signal: Signal) -> Part[np.float64]:
     """The rows of a signal."""
-    first, stop = PLACES[signal]
-    return Part(first if stop == first + 1 else slice(first, stop), lambda x: x.T)
+    return rows_of(*PLACES[signal])
 
 
 def flag(at: int) -> Part[np.bool_]:
@@ -81,6 +85,9 @@ class Block:
     segment: number of the unbroken span of flight. t_ns: (n,) vehicle time. whole: (rows, ..) memory, in which its own
     columns x, (rows, n), see `VALID`, begin with `first`; what is in front is room for those of before (`columns_of`).
     outputs: how many outputs the vehicle has sent; actuator is (n, outputs), rotor_speed (n, ESCs).
+    u: (n, 3) commanded body rates p, q, r [rad/s], 0 where no set-point is known. y: (n, 3) measured ones, smoothed.
+    gyro: as they were measured. rated: the gyro was valid in the whole window. commanded: so was the set-point: u and y
+    may be compared.
     settled_ns: rows before it are of a take-off, or of the start of the data.
     """
 
@@ -103,7 +110,8 @@ class Block:
     armed = signal(Signal.ARMED)
     vibration = signal(Signal.VIBRATION)
     rotor_speed = signal(Signal.ROTOR_SPEED)
-    valid, setpoint_valid = flag(VALID), flag(SETPOINT)
+    u, y, gyro = rows_of(U, Y), rows_of(Y, GYRO), rows_of(GYRO, OUTPUTS)
+    valid, setpoint_valid, rated, commanded = flag(VALID), flag(SETPOINT), flag(WHOLE), flag(COMMANDED)
     doubt = Part[np.float64](DOUBT, lambda x: x)
 
     @property
@@ -123,10 +131,8 @@ class Block:
         """Rows [first, stop) as a block of their own, of another segment, or settled at another time, if asked."""
         segment = self.segment if segment is None else segment
         settled_ns = self.settled_ns if settled_ns is None else settled_ns
-        if stop - first == len(self.t_ns) and segment == self.segment and settled_ns == self.settled_ns:
-            return self
-        t_ns = self.t_ns[first:stop]
-        return Block(segment, self.dt_s, t_ns, self.whole, self.outputs, settled_ns, self.first + first)
+        t_ns, place = self.t_ns[first:stop], self.first + first
+        return Block(segment, self.dt_s, t_ns, self.whole, self.outputs, settled_ns, place)
 
     def known(self, signal: Signal, columns: slice = slice(None)) -> BoolArray:
         """(n,) where the row carries these columns of a signal; nowhere if rows have none for it.
@@ -143,28 +149,6 @@ class Block:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RateBlock:
-    """The rates of consecutive rows of one segment.
-
-    u: (n, 3) commanded body rates p, q, r [rad/s]; finite, 0 where no set-point is known.
-    y: (n, 3) measured body rates, smoothed [rad/s]. gyro: the same as they were measured.
-    valid: (n,) the gyro was valid in the whole window. commanded: so were gyro and set-point: u and y may be compared.
-    """
-
-    segment: int
-    dt_s: float
-    t_ns: IntArray
-    x: FloatArray
-
-    u, y = Part[np.float64](slice(U, Y), lambda x: x.T), Part[np.float64](slice(Y, GYRO), lambda x: x.T)
-    gyro = Part[np.float64](slice(GYRO, OUTPUTS), lambda x: x.T)
-    valid, commanded = flag(WHOLE), flag(COMMANDED)
-
-    def __len__(self) -> int:
-        return len(self.t_ns)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Rows:
     """The next aligned rows of one segment, and the filtered rates that they complete (half a window later).
 
@@ -175,10 +159,10 @@ class Rows:
     rates_ns: IntArray
 
     @property
-    def rates(self) -> RateBlock:
-        """The rates alone."""
+    def rates(self) -> Block:
+        """The columns with rates alone, at the times of these."""
         block, lag = self.block, len(self.block) - len(self.rates_ns)
-        return RateBlock(block.segment, block.dt_s, self.rates_ns, block.x[:, lag:])
+        return replace(block, t_ns=self.rates_ns, first=block.first + lag)
 
     def part(self, first: int, stop: int, segment: int | None = None, from_ns: int | None = None) -> "Rows":
         """Rows [first, stop), of another segment if asked, with the rates that they complete from a time on."""
@@ -232,8 +216,8 @@ def in_rotor_order(block: Block, outputs: Sequence[int] | None) -> Block:
         return block
 
     def by_rotor(sent: FloatArray) -> FloatArray:
-        absent = np.full(len(block), np.nan)
-        return np.array([sent[one - 1] if one <= len(sent) else absent for one in outputs]) if len(sent) else sent
+        with_absent = np.vstack((sent, np.full(len(block), np.nan)))
+        return with_absent[np.minimum(outputs, len(sent) + 1) - 1] if len(sent) else sent
 
     return with_outputs(block, by_rotor(block.actuator.T), by_rotor(block.rotor_speed.T), block.first)
 

@@ -9,14 +9,14 @@ from mavdiag.chain import Chain, ChainState, chain_of
 from mavdiag.decision.diagnosis import Change, Diagnosis
 from mavdiag.errors import BaselineError
 from mavdiag.judging import why_not
-from mavdiag.kernel import Gauge, Piece, Slot
+from mavdiag.kernel import Piece, Slot
 from mavdiag.link.codec import Decoder, Encoder, Frame
 from mavdiag.link.link import Link
 from mavdiag.link.messages import Autopilot, Component, MavType, MessageId, Severity
 from mavdiag.link.ports import Endpoint, wait
 from mavdiag.link.signing import Signing, stamp_at
 from mavdiag.printable import printable
-from mavdiag.telemetry import Axis, Telemetry
+from mavdiag.telemetry import Telemetry
 from mavdiag.units import NS_PER_S
 
 GCS_SYSID = 255
@@ -63,7 +63,7 @@ class LiveJudge:
     pieces: tuple[Piece, ...] = ()  # what the chain made of the last seconds
     chain: Chain = field(init=False)
     _state: ChainState = field(init=False)
-    _gauges: dict[tuple[str, Axis | None], Gauge] = field(default_factory=dict)
+    _latest: dict[int, list[float]] = field(default_factory=dict)  # of each slot that has a value, by number
 
     def __post_init__(self) -> None:
         self.chain = chain_of(self.baseline, self.began_ns)
@@ -80,7 +80,8 @@ class LiveJudge:
         output = chain.finish(state) if telemetry is None else chain.step(state, telemetry)
         if state.refused:
             raise BaselineError(state.refused)
-        self._gauges.update({(gauge.monitor, gauge.axis): gauge for gauge in output.gauges})
+        for number in range(len(chain.slots) if output.pieces else 0):
+            self._latest[number] = output.pieces[-1].latest(number) or self._latest.get(number, [])
         filled = [piece for piece in (*self.pieces, *output.pieces) if len(piece.rows.block)]
         since_ns = (filled[-1].rows.block.t_ns[-1] if filled else 0) - self.span_s * NS_PER_S
         self.pieces = tuple(piece for piece in filled if piece.rows.block.t_ns[-1] >= since_ns)
@@ -97,12 +98,11 @@ class LiveJudge:
         return self._state.diagnosis
 
     @property
-    def gauges(self) -> Iterator[tuple[Slot, Gauge | None, str]]:
-        """Each slot, its latest value, and why it does not judge (empty if it does)."""
-        for slot, account in zip(self.chain.slots, self._state.accounts, strict=True):
-            gauge = self._gauges.get(slot.key)
-            judges = gauge is not None and gauge.valid
-            yield slot, gauge, "" if judges else why_not(self.chain, account) or "warming up"
+    def values(self) -> Iterator[tuple[Slot, float, str]]:
+        """Each slot, its latest value, 0 without one, and why it does not judge (empty if it does)."""
+        for number, (slot, account) in enumerate(zip(self.chain.slots, self._state.accounts, strict=True)):
+            value, sound, *_ = self._latest.get(number) or (0.0, 0.0)
+            yield slot, value, "" if sound > 0.5 else why_not(self.chain, account) or "warming up"
 
 
 @dataclass(slots=True)

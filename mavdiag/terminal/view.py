@@ -134,10 +134,9 @@ def line_for(news: Line | Change, text_from: str = "", change_from: str = "") ->
 def levels_of(judge: LiveJudge) -> tuple[Level, ...]:
     """Every monitor against its threshold; of one on two axes both."""
     found = []
-    for slot, gauge, reason in judge.gauges:
+    for slot, value, reason in judge.values:
         name = f"{slot.monitor.label} {slot.monitor.axis or ''}".rstrip()
-        figures = (0.0, math.inf, "") if gauge is None else (gauge.statistic, gauge.threshold, gauge.unit)
-        found.append(Level(name, *figures, reason))
+        found.append(Level(name, value, slot.threshold, slot.monitor.unit, reason))
     return tuple(found)
 
 

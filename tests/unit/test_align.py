@@ -399,7 +399,7 @@ def test_a_row_is_valid_and_commanded_only_with_its_whole_window_and_a_segment_b
     valid, setpoint_valid = np.arange(1000) >= 200, np.arange(1000) != 600
     out = RATES.step(state, changed(rows, valid=valid, setpoint_valid=setpoint_valid)).rates
     at = np.round(out.t_ns / 1e9 / DT_S).astype(int)
-    np.testing.assert_array_equal(out.valid, at >= 250)
+    np.testing.assert_array_equal(out.rated, at >= 250)
     np.testing.assert_array_equal(out.commanded, (at >= 250) & (np.abs(at - 600) > 50))
     assert len(RATES.step(state, rows.rows(0, 50, segment=7)).rates) == 0
     again = RATES.step(state, rows.rows(50, 101, segment=7)).rates
