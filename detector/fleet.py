@@ -18,7 +18,7 @@ from detector.states import State
 from detector.streams import METERED
 from detector.values import Effect, EventOpened, FitOutcome, Note, SessionSpec, VehicleFigures
 from mavdiag.kernel import LOOK_NS
-from mavdiag.link.clock import Timesync, exchanged
+from mavdiag.link.clock import Timesync
 from mavdiag.link.codec import Frame
 from mavdiag.link.datagrams import Datagrams
 from mavdiag.link.messages import Component
@@ -215,8 +215,7 @@ class Fleet:
         effects = session.step(received, now, outcome)
         vehicle.alarms.update(effect.event.monitor for effect in effects if isinstance(effect, EventOpened))
         if session.spec.settings.negotiate:
-            vehicle.timesync, messages = exchanged(vehicle.timesync, received.frames, now.ns, alive=received.alive)
-            effects = (*effects, *messages)
+            effects = (*effects, *vehicle.timesync.step(received.frames, now.ns, alive=received.alive))
         latency_s = vehicle.wait(received.telemetry.get(Signal.BODY_RATE), now.ns, self.looks)
         return Turn(sysid, effects, received.asked, latency_s)
 
@@ -252,7 +251,7 @@ class Fleet:
             flight_s=judge.flight_s if judge else 0.0,
             rates=tuple((signal.value, session.streams.meters[signal].rate_hz) for signal in METERED),
             ratios=tuple((slot.monitor.name, slot.monitor.axis or "", ratio) for slot, ratio in ratios),
-            timesync=vehicle.timesync,
+            round_trip_s=vehicle.timesync.round_trip_s,
             drift_ppm=self.link.vehicles[sysid].state.timeline.drift_ppm,
             diagnosis=session.diagnosis,
         )

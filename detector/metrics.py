@@ -120,7 +120,7 @@ def _daemon(figures: DaemonFigures, age_s: float) -> Iterator[Sample]:
 
 
 def _vehicle(vehicle: VehicleFigures) -> Iterator[Sample]:
-    held, timesync = vehicle.diagnosis, vehicle.timesync
+    held = vehicle.diagnosis
     for state in State:
         yield "state", (state.value,), state is vehicle.state
     for stage in Stage:
@@ -139,8 +139,8 @@ def _vehicle(vehicle: VehicleFigures) -> Iterator[Sample]:
         yield "events", (monitor,), count
     for monitor, axis, ratio in vehicle.ratios:
         yield "statistic_ratio", (monitor, axis), ratio
-    if timesync.round_trip_s is not None:
-        yield "timesync_round_trip_seconds", (), timesync.round_trip_s
+    if vehicle.round_trip_s is not None:
+        yield "timesync_round_trip_seconds", (), vehicle.round_trip_s
     if vehicle.drift_ppm is not None:
         yield "clock_drift_ppm", (), vehicle.drift_ppm
 

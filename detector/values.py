@@ -8,7 +8,7 @@ from detector.config import SessionSettings
 from detector.states import State
 from mavdiag.baseline import Baseline
 from mavdiag.decision.alarm import NOTHING_SEEN, Change, Diagnosis, Event
-from mavdiag.link.clock import Timesync, TimesyncMessage
+from mavdiag.link.clock import TimesyncMessage
 from mavdiag.link.messages import Severity
 from mavdiag.link.ports import Traffic
 from mavdiag.link.profiles import Profile
@@ -128,7 +128,7 @@ class VehicleFigures:
     flight_s: float = 0.0
     rates: tuple[tuple[str, float], ...] = ()  # measured rate of each stream that is metered [Hz]
     ratios: tuple[tuple[str, str, float], ...] = ()  # statistic over threshold of monitor and axis that are valid now
-    timesync: Timesync = field(default_factory=Timesync)  # as asked last
+    round_trip_s: float | None = None  # of the last TIMESYNC that was answered
     drift_ppm: float | None = None  # of the first clock of its messages against another; None if they have one clock
     diagnosis: Diagnosis = NOTHING_SEEN
 

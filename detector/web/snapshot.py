@@ -153,7 +153,7 @@ class Snapshots:
             self._accounts, nearest, now_ns = judge.memory.accounts, _nearest(judge, slots), judge.memory.now_ns
         known = (seen.rises for seen in self._seen.values() if seen.rises and seen.value is not None)
         rates = [(LABELS[Signal(name)], round(hertz, 1)) for name, hertz in figures.rates]
-        link = {"silent_s": round(now - session.latest, 2), "rates": rates} | _picked(figures.timesync, "round_trip_s")
+        link = {"silent_s": round(now - session.latest, 2), "rates": rates}
         return told, {
             **_picked(figures, "vehicle", "events"),
             **_picked(session, "state", "reason"),
@@ -165,7 +165,7 @@ class Snapshots:
             "slots": slots,
             "strips": strips,
             "track": [place for point in track.points for place in point],
-            "link": link | _picked(figures, "received", "lost", "drift_ppm"),
+            "link": link | _picked(figures, "round_trip_s", "received", "lost", "drift_ppm"),
         }
 
     def _slots(self, judge: Judge, session: Session, now: Instant) -> list[Json]:
