@@ -17,7 +17,7 @@ from detector.session import Session
 from detector.states import State
 from detector.values import Effect, EventOpened, FitOutcome, Note, SessionSpec
 from mavdiag.kernel import LOOK_NS
-from mavdiag.link.clock import Timesync, exchanged
+from mavdiag.link.clock import Timesync
 from mavdiag.link.codec import Frame
 from mavdiag.link.datagrams import Datagrams
 from mavdiag.link.messages import Component
@@ -248,8 +248,7 @@ class Fleet:
         effects = session.step(received, now, outcome)
         vehicle.count_alarms(effects)
         if session.spec.settings.negotiate:
-            vehicle.timesync, messages = exchanged(vehicle.timesync, received.frames, now.ns, alive=received.alive)
-            effects = (*effects, *messages)
+            effects = (*effects, *vehicle.timesync.step(received.frames, now.ns, alive=received.alive))
         latency_s = vehicle.wait(received.telemetry.get(Signal.BODY_RATE), now.ns, self.looks)
         return Turn(sysid, effects, received.asked, latency_s)
 

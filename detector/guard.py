@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from detector.fleet import Turn
 from detector.values import Effect, Note, SendText
 from mavdiag.link.clock import LEAPS
-from mavdiag.link.codec import AUTOPILOT
 from mavdiag.link.messages import Component, Severity
 from mavdiag.link.sequence import PINNED_S, LinkCount, Source
 from mavdiag.link.signing import Refusal, Signing
@@ -73,9 +72,9 @@ class Guard:
         """Frames that were not heard so far, by cause."""
         link, counts = self._link, dict[str, int]()
         for sysid, stream in link.vehicles.items():
-            (intruder, impostor), count = link.strangers(sysid), link.count(sysid)
-            counts[f"in the name of vehicle {sysid} from elsewhere"] = intruder.frames if intruder else 0
-            counts[f"in our own name {sysid}/{OURS}"] = impostor.frames if impostor else 0
+            count, own = link.count(sysid), link.count(sysid, OURS)
+            counts[f"in the name of vehicle {sysid} from elsewhere"] = count.refused
+            counts[f"in our own name {sysid}/{OURS}"] = own.refused if own.ours else 0
             counts[f"in the name of vehicle {sysid} with the number of another frame"] = count.clashes
             counts[f"of vehicle {sysid} whose stamps leap"] = stream.state.timeline.leaps
         signatures = {} if self._signing is None else self._signing.refused
@@ -87,21 +86,12 @@ class Guard:
         return f"refused: {', '.join(parts)}" if parts else ""
 
     def _second(self, sysid: int, known: _Known) -> Iterable[Effect]:
-        (intruder, impostor), count = self._link.strangers(sysid), self._link.count(sysid)
-        source, timeline = self._link.source(sysid), self._link.vehicles[sysid].state.timeline
-        heard_ns = self._link.decoder.heard.heard_ns(sysid << 8 | AUTOPILOT)
-        refused = intruder.frames if intruder else 0
-        if known.source not in (None, source):
-            moved = f"{_address(source)} instead of {_address(known.source)}, which was silent for {PINNED_S:g} s"
-            yield Note(f"vehicle {sysid} is heard from {moved}")
-            known.moved = refused
-        elif intruder and known.refused > known.moved and heard_ns > known.heard_ns and known.news("source"):
-            where = _address(intruder.source)
-            yield Note(f"{where} sends in the name of vehicle {sysid}, which is heard elsewhere; it is not heard")
-            yield SendText(Severity.WARNING, f"PROP second source sends as vehicle {sysid}")
-        known.source, known.heard_ns, known.refused = source, heard_ns, refused
-        if impostor is not None and known.news("ours"):
-            yield Note(f"{_address(impostor.source)} sends as {sysid}/{OURS}, which is this detector; it is not heard")
+        count, own = self._link.count(sysid), self._link.count(sysid, OURS)
+        timeline = self._link.vehicles[sysid].state.timeline
+        if count.received:
+            yield from self._sources(sysid, known, count)
+        if own.ours and own.refused and known.news("ours"):
+            yield Note(f"{_address(own.intruder)} sends as {sysid}/{OURS}, which is this detector; it is not heard")
             yield SendText(Severity.WARNING, f"PROP another sender as {sysid}/{OURS}, not heard")
         yield from self._numbers(sysid, known, count)
         if timeline.backs and known.news("clock"):
@@ -111,6 +101,17 @@ class Guard:
             known.leaps = timeline.leaps
             yield Note(f"vehicle {sysid}: stamps that leap: {known.leaps} dropped; another sender?")
             yield SendText(Severity.WARNING, f"PROP stamps leap: {known.leaps} dropped; two senders?")
+
+    def _sources(self, sysid: int, known: _Known, count: LinkCount) -> Iterable[Effect]:
+        if known.source not in (None, count.source):
+            moved = f"{_address(count.source)} instead of {_address(known.source)}, which was silent for {PINNED_S:g} s"
+            yield Note(f"vehicle {sysid} is heard from {moved}")
+            known.moved = count.refused
+        elif known.refused > known.moved and count.heard_ns > known.heard_ns and known.news("source"):
+            where = _address(count.intruder)
+            yield Note(f"{where} sends in the name of vehicle {sysid}, which is heard elsewhere; it is not heard")
+            yield SendText(Severity.WARNING, f"PROP second source sends as vehicle {sysid}")
+        known.source, known.heard_ns, known.refused = count.source, count.heard_ns, count.refused
 
     def _numbers(self, sysid: int, known: _Known, count: LinkCount) -> Iterable[Effect]:
         contrary = self._link.vehicles[sysid].state.contrary

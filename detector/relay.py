@@ -53,7 +53,7 @@ class Relay:
             brought, taken = list[bytes](), 0
             for data, _ in endpoint.receive(0.0):
                 if taken >= LOOK_BYTES:
-                    endpoint.overflow()
+                    endpoint.traffic.overflowed += 1
                     continue
                 whole, begun = split_frames(self._begun[number] + data)
                 self._begun[number] = b"" if endpoint.datagrams else begun

@@ -58,9 +58,9 @@ class MemoryEndpoint(Endpoint):
     def send(self, data: bytes) -> None:
         """Put one message into the peer's mailbox; dropped and counted if that is full, or either end is closed."""
         if self.connected and self._outbox.put(data):
-            self._count.sent += 1
+            self.traffic.sent += 1
         else:
-            self._count.dropped += 1
+            self.traffic.dropped += 1
 
     def close(self) -> None:
         self._inbox.close()

@@ -19,10 +19,10 @@ from mavdiag.errors import InputError, UsageError
 from mavdiag.link.codec import message_name
 from mavdiag.link.keys import read_key
 from mavdiag.link.link import Link, open_link
-from mavdiag.link.messages import Component, MavResult
+from mavdiag.link.messages import Component, MavCmd, MavResult
 from mavdiag.link.profiles import PROFILES
 from mavdiag.link.sequence import LinkCount
-from mavdiag.link.wants import LEAST_HZ, Asker, wants_of
+from mavdiag.link.wants import LEAST_HZ, Companion, Reading, telling, wants_of
 from mavdiag.logs import read_part
 from mavdiag.logs.log import TLOG_BYTES, windows_of
 from mavdiag.logs.tlog import decode_tlog
@@ -34,6 +34,7 @@ from mavdiag.units import NS_PER_S
 
 LISTENED_S, LISTEN_S = 5.0, 2.0  # to a link unless told otherwise, and before anything is asked for (our choices)
 ASK_S = 6.0  # for the answers: some thirty parameters at four each 0.2 s, three times (our choice)
+AGAIN_S, TRIES = 1.5, 2  # a stream that has not come by then is asked for once more (our choice)
 COMPANION_OF = 1  # as whose companion we speak on a link before a vehicle is known
 
 
@@ -135,30 +136,37 @@ def _counts(link: Link) -> dict[int, int]:
 
 def ask_for_all(link: Link, vehicle: int) -> tuple[str, ...]:
     """Ask for streams and parameters; what came of it, a line for each stream."""
-    asker = Asker(vehicle, link.signing)
+    companion, reading = Companion(vehicle, link.signing), Reading()
+    asked = dict[int, tuple[int, Instant]]()  # tries, and the time of the last one, by message
     since: dict[int, int] | None = None
     began = time.monotonic()
     needs = frozenset[Signal]().union(*(monitor.needs for monitor in MONITORS))
 
     def request() -> None:
-        nonlocal asker, since
+        nonlocal companion, since
         now = Instant(time.monotonic_ns())
-        frames = asker.beat(now)
+        frames = companion.beat(now)
         if link.stream is not None and time.monotonic() - began > LISTEN_S:
             if since is None:
-                asker, since = Asker(link.vehicle or vehicle, link.signing), _counts(link)
+                companion, since = Companion(link.vehicle or vehicle, link.signing), _counts(link)
             profile = link.stream.profile
             wants = wants_of(profile, needs, (profile.rate_hz, LEAST_HZ, float("inf")), LEAST_HZ)
-            rates = {msgid: count / LISTEN_S for msgid, count in since.items()}
-            came = {msgid for msgid, count in _counts(link).items() if count > since.get(msgid, 0)}
-            rates |= {want.msgid: want.ask_hz for want in wants if want.msgid in came.intersection(asker.streams)}
-            frames += asker.stream(wants, rates, now) + asker.read_all(profile.autopilot, link.stream.parameters, now)
+            counts, known = _counts(link), link.stream.parameters
+            for want in wants:
+                before = since.get(want.msgid, 0)
+                tries, at = asked.get(want.msgid, (0, now))
+                comes = counts.get(want.msgid, 0) > before if tries else before / LISTEN_S >= want.least_hz
+                if not comes and (tries == 0 or (tries < TRIES and now - at >= AGAIN_S)):
+                    asked[want.msgid] = (tries + 1, now)
+                    interval_us = round(1e6 / want.ask_hz)
+                    frames.append(companion.command(MavCmd.SET_MESSAGE_INTERVAL, want.msgid, interval_us))
+            frames += map(companion.read, reading.step(telling(profile.autopilot, known), known, now))
         link.send(frames)
 
     link.record(LISTEN_S + ASK_S, request)
     known = {result.value: result.name for result in MavResult}
     results = dict.fromkeys(known.get(ack.result, f"result {ack.result}") for ack in link.acks)
     answers = f"the autopilot answered {', '.join(results)}" if results else "no answer came"
-    names = ", ".join(message_name(msgid) for msgid in asker.streams)
+    names = ", ".join(message_name(msgid) for msgid in asked)
     read = f"{len(link.stream.parameters) if link.stream else 0} parameters read"
     return (f"asked for {names}: {answers}" if names else "asked for no stream: all come", read)

@@ -34,7 +34,7 @@ from mavdiag.link.keys import read_key
 from mavdiag.link.link import POLL_S, Link, open_link
 from mavdiag.link.messages import Autopilot, MavType, Severity
 from mavdiag.link.profiles import PROFILES, Profile
-from mavdiag.link.wants import LEAST_HZ, Asker, remedy
+from mavdiag.link.wants import LEAST_HZ, Companion, remedy
 from mavdiag.logs import read_part
 from mavdiag.logs.tlog import tlog_record
 from mavdiag.look.inspection import RIGHT, Inspection, inspection_of
@@ -155,7 +155,7 @@ class _Coach:
 
     def __init__(self, link: Link, front: Front, coverage: Coverage, passed: Frames) -> None:
         self._link, self._front, self._coverage, self._passed = link, front, coverage, passed
-        self._asker = Asker(link.vehicle or COMPANION_OF, link.signing)
+        self._companion = Companion(link.vehicle or COMPANION_OF, link.signing)
         self._first = len(passed)  # frames with the parameters, which the first recording gets
         self._flights = 0  # that were waited for
         self._told: tuple[str, Instant] | None = None  # what, without its figures, and when
@@ -182,7 +182,7 @@ class _Coach:
                 if ended or now - looked > LOOK_S:
                     taught = self._coverage.take(rows) or taught
                     looked, rows = now, []
-                self._link.send([*self._asker.beat(now), *self._words(file is not None, now)])
+                self._link.send([*self._companion.beat(now), *self._words(file is not None, now)])
         if file is not None and not taught:
             path.unlink()
         if lost and not self._silent:
@@ -219,7 +219,8 @@ class _Coach:
             return []
         self._told = task, now
         say(f"now {task}: {words}")
-        return [self._asker.statustext(Severity.INFO, f"now {task}" + (f" {step.left_s} s" if flies and step else ""))]
+        text = f"now {task}" + (f" {step.left_s} s" if flies and step else "")
+        return [self._companion.statustext(Severity.INFO, text)]
 
 
 def config_text(endpoint: str, sysid: int, folder: Path, signing_key: Path | None) -> str:

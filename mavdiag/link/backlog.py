@@ -1,6 +1,5 @@
 """Frames of many vehicles that wait until they are asked for: each is copied in once and out once."""
 
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -24,18 +23,19 @@ class Backlog:
     def __init__(self) -> None:
         self._lists, self._used = np.zeros((256, 4), np.int64), np.zeros(2, np.int64)
         self._rows, self._after, self._data = _room(0, 0)
-        self._make_room(ROOM, SHARE * ROOM)
+        self.make_room()
 
     def put(self, frames: Frames) -> None:
         """Take these frames."""
         rows, size = len(frames), int((frames.rows["stop"] - frames.rows["body"]).sum())
         if self._used[0] + rows > len(self._rows) or self._used[1] + size > len(self._data):
-            waiting = self._lists[:, _COUNT:].sum(axis=0)
-            self._make_room(max(ROOM, 2 * (waiting[0] + rows)), max(SHARE * ROOM, 2 * (waiting[1] + size)))
+            self.make_room(rows, size)
         _put(frames.data, frames.rows, self._lists, self._used, (self._rows, self._after, self._data))
 
-    def _make_room(self, rows: int, size: int) -> None:
-        new = _room(rows, size)
+    def make_room(self, rows: int = 0, size: int = 0) -> None:
+        """Make room for twice what waits and these more rows and bytes; a flood leaves no large arrays behind."""
+        count, filled = self._lists[:, _COUNT:].sum(axis=0).tolist()
+        new = _room(max(ROOM, 2 * (count + rows)), max(SHARE * ROOM, 2 * (filled + size)))
         _move(self._lists, self._used, (self._rows, self._after, self._data), new)
         self._rows, self._after, self._data = new
 
@@ -52,12 +52,6 @@ class Backlog:
         """Of which something waits."""
         found: list[int] = np.flatnonzero(self._lists[:, _COUNT]).tolist()
         return found
-
-    def take_all(self) -> Iterator[tuple[int, Frames]]:
-        """What waits of each system id."""
-        for sysid in self.sysids:
-            yield sysid, self.take(sysid)
-        self._make_room(ROOM, SHARE * ROOM)  # a flood leaves no large arrays behind
 
 
 Room = tuple[NDArray[Any], IntArray, Bytes]  # frames, the place of the one that follows each, and their bytes

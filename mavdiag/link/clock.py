@@ -17,7 +17,7 @@ TIMESYNC (https://mavlink.io/en/services/timesync.html) is answered and asked; w
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -458,31 +458,27 @@ class TimesyncMessage:
     ts1_ns: int
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Timesync:
-    """What is known by TIMESYNC; None before the first request and the first answer."""
+    """The exchange with one vehicle's autopilot."""
 
     asked_ns: int | None = None  # when a request was sent last (host)
-    open: bool = False  # it has not been answered
-    round_trip_s: float | None = None
+    round_trip_s: float | None = None  # of its last answer
 
+    def step(self, frames: Iterable[Frame], now_ns: int, *, alive: bool) -> list[TimesyncMessage]:
+        """Read the autopilot's TIMESYNCs among its frames; returns what to send: at most one answer and one request.
 
-def exchanged(
-    state: Timesync, frames: Iterable[Frame], now_ns: int, *, alive: bool
-) -> tuple[Timesync, tuple[TimesyncMessage, ...]]:
-    """Read the autopilot's TIMESYNCs among its frames; returns what to send: at most one answer and one request.
-
-    now_ns: on the host's clock. alive: the vehicle sent something, so that asking it makes sense.
-    """
-    answers: tuple[TimesyncMessage, ...] = ()
-    for frame in frames:
-        if frame.msgid != MessageId.TIMESYNC or frame.compid != Component.AUTOPILOT1:
-            continue
-        tc1_ns, ts1_ns = frame.numbers("tc1", "ts1")
-        if tc1_ns == 0:
-            answers = (TimesyncMessage(now_ns, ts1_ns),)
-        elif state.open and ts1_ns == state.asked_ns:
-            state = replace(state, open=False, round_trip_s=max(0, frame.host_ns - ts1_ns) / NS_PER_S)
-    if not alive or (state.asked_ns is not None and now_ns - state.asked_ns < EVERY_NS):
-        return state, answers
-    return replace(state, asked_ns=now_ns, open=True), (*answers, TimesyncMessage(0, now_ns))
+        now_ns: on the host's clock. alive: the vehicle sent something, so that asking it makes sense.
+        """
+        sent = list[TimesyncMessage]()
+        for frame in frames:
+            if frame.msgid == MessageId.TIMESYNC and frame.compid == Component.AUTOPILOT1:
+                tc1_ns, ts1_ns = frame.numbers("tc1", "ts1")
+                if tc1_ns == 0:
+                    sent = [TimesyncMessage(now_ns, ts1_ns)]
+                elif ts1_ns == self.asked_ns:
+                    self.round_trip_s = max(0, frame.host_ns - ts1_ns) / NS_PER_S
+        if alive and (self.asked_ns is None or now_ns - self.asked_ns >= EVERY_NS):
+            self.asked_ns = now_ns
+            sent.append(TimesyncMessage(0, now_ns))
+        return sent

@@ -13,6 +13,7 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
+from itertools import accumulate
 from typing import Any, NamedTuple, TypeAlias, cast
 
 import numpy as np
@@ -301,17 +302,14 @@ class Frames:
         """Some of them."""
         return Frames(self.data, _those(self.rows, chosen))
 
-    def of(self, *msgids: int, compid: int | None = None) -> "Frames":
-        """Those of some messages. compid: and of this component of any vehicle; None for all."""
-        chosen = np.zeros(len(self), np.bool_)
-        for msgid in msgids:
-            chosen |= self.rows["row"] == ROWS[msgid]
-        found = self.where(chosen)
-        return found if compid is None else found.where(found.rows["sender"] & 0xFF == compid)
+    def of(self, *msgids: int) -> "Frames":
+        """The autopilots' own of some messages."""
+        chosen = np.isin(self.rows["row"], [ROWS[msgid] for msgid in msgids])
+        return self.where(chosen & (self.rows["sender"] & 0xFF == AUTOPILOT))
 
-    def counts(self, compid: int = AUTOPILOT) -> Counter[int]:
-        """How many of each message came from a component."""
-        own = np.bincount(self.rows["row"][self.rows["sender"] & 0xFF == compid])
+    def counts(self) -> Counter[int]:
+        """How many of each message came from an autopilot."""
+        own = np.bincount(self.rows["row"][self.rows["sender"] & 0xFF == AUTOPILOT])
         return Counter({MSGIDS[row]: int(own[row]) for row in np.flatnonzero(own).tolist()})
 
     def records(self, dtype: np.dtype[np.void]) -> Record:
@@ -363,8 +361,8 @@ def frames_joined(pieces: Sequence[Frames]) -> Frames:
     if len(pieces) < 2:
         return pieces[0] if pieces else NO_FRAMES
     rows = np.frombuffer(bytearray().join(piece.rows.data for piece in pieces), FRAME)  # numpy is slow to join records
-    data, sizes = b"".join(piece.data.data for piece in pieces), [len(piece.data) for piece in pieces]
-    shifts = np.repeat(np.cumsum([0, *sizes[:-1]], dtype=np.int32), [len(piece) for piece in pieces])
+    data, ends = b"".join(piece.data.data for piece in pieces), accumulate(len(piece.data) for piece in pieces[:-1])
+    shifts = np.repeat(np.array([0, *ends], np.int32), np.array([len(piece.rows) for piece in pieces]))
     rows["body"] += shifts
     rows["stop"] += shifts
     return Frames(np.frombuffer(data, np.uint8), rows)

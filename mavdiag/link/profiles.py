@@ -7,14 +7,13 @@ autopilot is one row of `_ROWS`, and its number in `mavdiag.link.messages.Autopi
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
 from math import isfinite
 from typing import Self
 
 import numpy as np
 
 from mavdiag.errors import UsageError
-from mavdiag.link.codec import AUTOPILOT, Frame, Frames, layout_of, message_name
+from mavdiag.link.codec import Frame, Frames, layout_of, message_name
 from mavdiag.link.messages import Autopilot, MavType, MessageId
 from mavdiag.link.scale import CONTRARY, scale_of
 from mavdiag.rows.gate import GateSpec
@@ -57,15 +56,14 @@ class Evidence:
     def take(self, frames: Frames) -> Self:
         """Take in the next frames; returns itself."""
         self.counts += frames.counts()
-        self.parameters += frames.of(MessageId.PARAM_VALUE, compid=AUTOPILOT)
-        record = frames.of(MessageId.HEARTBEAT, compid=AUTOPILOT).records(_HEARTBEAT)
+        self.parameters += frames.of(MessageId.PARAM_VALUE)
+        record = frames.of(MessageId.HEARTBEAT).records(_HEARTBEAT)
         for kind, autopilot in zip(*(record[name].tolist() for name in _BEAT), strict=True):
             if kind not in (MavType.GCS, MavType.ONBOARD_CONTROLLER) and autopilot != Autopilot.INVALID:
                 self.beats[kind, autopilot] += 1
         if len(self._raw) < WEIGHED:
-            raw = frames.of(MessageId.RAW_IMU, compid=AUTOPILOT).where(slice(WEIGHED - len(self._raw)))
+            raw = frames.of(MessageId.RAW_IMU).where(slice(WEIGHED - len(self._raw)))
             self._raw = np.concatenate((self._raw, raw.records(_RAW_IMU)))
-            self.__dict__.pop("weight", None)  # of fewer
         return self
 
     @property
@@ -81,7 +79,7 @@ class Evidence:
         """What its heartbeats name it, MAV_AUTOPILOT."""
         return frozenset(autopilot for _, autopilot in self.beats)
 
-    @cached_property
+    @property
     def weight(self) -> float:
         """Median size of RAW_IMU's acceleration, in counts, for a vehicle feels its own weight; NaN without it."""
         sizes = np.linalg.norm(self._raw["xacc"].astype(np.float64), axis=1)

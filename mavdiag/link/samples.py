@@ -227,10 +227,10 @@ def _laid(profile: Profile, msgid: int, part: Part) -> tuple[float, ...]:
 
 def warm() -> None:
     """Compile what finds and converts frames, or load it from disk, before the first comes: seconds, or half of one."""
-    SampleDecoder(PROFILES["qdrone2"]).step(SampleState(), Decoder().feed(Encoder(1, 1).encode(MessageId.HEARTBEAT), 0))
-    euler_angles(np.empty((0, 4)))
     backlog = Backlog()
-    backlog.put(backlog.take(0))
+    backlog.put(Decoder().feed(Encoder(1, 1).encode(MessageId.HEARTBEAT), 0))
+    SampleDecoder(PROFILES["qdrone2"]).step(SampleState(), backlog.take(1))
+    euler_angles(np.empty((0, 4)))
 
 
 def joined(pieces: Iterable[Telemetry]) -> Telemetry:

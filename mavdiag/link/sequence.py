@@ -60,7 +60,7 @@ _SENDER = np.dtype(
 
 @dataclass(frozen=True, slots=True)
 class LinkCount:
-    """What came from one sender so far, in frames."""
+    """What came from one sender, or in its name, so far, in frames."""
 
     received: int = 0  # without duplicates
     lost: int = 0  # net of those that came late after all (reordered)
@@ -69,14 +69,11 @@ class LinkCount:
     restarts: int = 0  # how often it began its count again
     by_message: Mapping[int, int] = field(default_factory=dict)
     clashes: int = 0  # whose number another, different frame had just had
-
-
-@dataclass(frozen=True, slots=True)
-class Intruder:
-    """A source (the latest one) that sends in another sender's name or in ours, and how many frames were refused."""
-
-    source: Source
-    frames: int
+    source: Source = None  # where it is heard from
+    heard_ns: int = 0  # when it was last heard
+    ours: bool = False  # whether its name is ours, and nobody else's
+    refused: int = 0  # of other sources that send in its name
+    intruder: Source = None  # the latest of these
 
 
 class Senders:
@@ -154,22 +151,6 @@ class Senders:
         row = self._row(key)
         return None if row is None else self._sources[int(row["source"])]
 
-    def heard_ns(self, key: int) -> int:
-        """When a sender was last heard [ns]; -1 if it is not followed."""
-        row = self._row(key)
-        return -1 if row is None else int(row["heard_ns"])
-
-    def intruder(self, key: int) -> Intruder | None:
-        """Who else uses a sender's name; None if nobody does."""
-        row = self._row(key)
-        if row is None or not row["refused"]:
-            return None
-        return Intruder(self._sources[int(row["intruder"])], int(row["refused"]))
-
-    def impostor(self, key: int) -> Intruder | None:
-        """Who uses a name that is ours; None if nobody does, or it is not ours."""
-        return self.intruder(key) if self._flags[key] & _OURS else None
-
     def sound(self, key: int) -> bool:
         """Whether a sender's numbers are those of one sender.
 
@@ -182,17 +163,14 @@ class Senders:
         return in_order or (received >= NEAR and 4 * far <= received)
 
     @property
-    def clashed(self) -> list[int]:
+    def clashed(self) -> frozenset[int]:
         """The senders of which two frames ever had one number."""
         used = self._senders[: self._used]
-        found: list[int] = used["key"][used["clashes"] > 0].tolist()
-        return found
+        return frozenset(used["key"][used["clashes"] > 0].tolist())
 
-    def contested(self, key: int) -> IntArray | None:
-        """The numbers that two senders claimed since the last call; None if that has never happened."""
-        row = self._row(key)
-        if row is None or not row["clashes"]:
-            return None
+    def contested(self, key: int) -> IntArray:
+        """The numbers that two senders claimed since the last call."""
+        row = self._senders[int(self._places[key]) - 1]
         found = np.flatnonzero(row["contested"])
         row["contested"][:] = 0
         return found
@@ -204,7 +182,10 @@ class Senders:
             return None
         seen = self._seen[self._places[key] - 1]
         by_message = {self._msgids[at]: int(seen[at]) for at in np.flatnonzero(seen).tolist()}
-        return LinkCount(by_message=by_message, **{name: int(row[name]) for name in _COUNTS})
+        source, intruder = (self._sources[int(row[name])] for name in ("source", "intruder"))
+        figures = {name: int(row[name]) for name in (*_COUNTS, "heard_ns", "refused")}
+        ours = bool(self._flags[key] & _OURS)
+        return LinkCount(by_message=by_message, source=source, intruder=intruder, ours=ours, **figures)
 
     def counts(self) -> dict[tuple[int, int], LinkCount]:
         """Figures of each sender, by (system id, component id)."""

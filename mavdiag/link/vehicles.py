@@ -6,6 +6,7 @@ lets a vehicle enter only with two like heartbeats and running numbers that are 
 """
 
 import math
+from collections import defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -33,7 +34,7 @@ from mavdiag.link.parameters import parameters_in
 from mavdiag.link.profiles import IMU_MESSAGES, LAST_RESORT, PROFILES, Evidence, Profile, detect_profile, with_imu
 from mavdiag.link.samples import SOURCES, SampleDecoder, SampleState, warm
 from mavdiag.link.samples import Source as Measured
-from mavdiag.link.sequence import Intruder, LinkCount, Source
+from mavdiag.link.sequence import LinkCount, Source
 from mavdiag.link.signing import Signing
 from mavdiag.telemetry import BoolArray, IntArray, Signal, Telemetry
 from mavdiag.units import NS_PER_S
@@ -191,17 +192,18 @@ class VehicleStream:
         """Take the vehicle's next frames, in order of arrival. talk: those of them that are no measurements."""
         if not self._settled and len(frames):
             self._choose_imu(frames)
-        self.uid = uid_in(talk) or self.uid
+        self.uid = (uid_in(talk) if talk else "") or self.uid
         if talk and (told := parameters_in(talk, self.profile.autopilot)):
             merged = {**self.parameters, **told}
             self.parameters = merged if len(merged) <= MOST_PARAMETERS else self.parameters
             self.state.take_parameters(self.parameters)
-        others = frames.rows["row"] != ROWS[self.profile.imu]
-        read = frames.where(others | self._reads(frames)) if self.sensor else frames
+        read = frames
+        if self.sensor:
+            read = frames.where((frames.rows["row"] != ROWS[self.profile.imu]) | self._reads(frames))
         telemetry = self._decoder.step(self.state, read)
         if (self.profile.imu, self.sensor) == (self._own.imu, 0) and telemetry.get(Signal.BODY_RATE) is not None:
             self._worse_ns = 0
-        elif self._settled and len(imus := frames.of(*IMU_MESSAGES, compid=AUTOPILOT)):
+        elif self._settled and len(imus := frames.of(*IMU_MESSAGES)):
             self._choose_again(imus)
         return telemetry
 
@@ -209,7 +211,7 @@ class VehicleStream:
         """Take many frames, as of a log: at once, but look by look where another gyro may have to be chosen."""
         at_ns, done = frames.rows["host_ns"], 0
         if not self._settled:
-            imus = len(frames.of(*IMU_MESSAGES, compid=AUTOPILOT))
+            imus = len(frames.of(*IMU_MESSAGES))
             cuts = np.flatnonzero(np.diff((at_ns - at_ns[:1]) // round(WATCH_S * NS_PER_S))) + 1
             for cut in (*cuts.tolist(), len(frames)):
                 if not self._settled and (imus or self.profile.imu != LAST_RESORT):
@@ -218,7 +220,7 @@ class VehicleStream:
         yield from self._looked(frames.where(slice(done, None)))
 
     def _looked(self, frames: Frames) -> Iterator[Telemetry]:
-        cut, imus = len(frames) // 2, frames.of(*IMU_MESSAGES, compid=AUTOPILOT)
+        cut, imus = len(frames) // 2, frames.of(*IMU_MESSAGES)
         at_ns, imu_ns, read, counts = frames.rows["host_ns"], imus.rows["host_ns"], self._reads(imus), imus.counts()
         latest = np.maximum.accumulate(np.where(read, np.arange(1, len(imus) + 1), 0))  # that is read, 0 for none
         alone_ns = imu_ns - np.append(self._worse_ns or at_ns[:1], imu_ns)[latest]
@@ -258,7 +260,7 @@ class VehicleStream:
         return own
 
     def _choose_imu(self, frames: Frames) -> None:
-        self._imu = np.concatenate((self._imu, frames.of(*IMU_MESSAGES, compid=AUTOPILOT).rows))[-CLEAR_FRAMES:]
+        self._imu = np.concatenate((self._imu, frames.of(*IMU_MESSAGES).rows))[-CLEAR_FRAMES:]
         seen = Frames(frames.data, self._imu)
         counts, times_ns = seen.counts(), self._imu["host_ns"]
         chosen = with_imu(self._own, counts, USEFUL_FRAMES)
@@ -317,9 +319,6 @@ class _Waiting:
         for frame in frames.of(MessageId.HEARTBEAT):
             self.mute = False
             self._note(frame)
-
-    def forget(self) -> None:
-        self.pieces, self.count = [], 0
 
     def _note(self, frame: Frame) -> None:
         kind, autopilot = frame.numbers("type", "autopilot")
@@ -387,10 +386,9 @@ class LinkDecoder:
         self._profile, self._only, self._careful = profile, only, careful
         self._most, self._datagrams = most, datagrams
         self._waiting: dict[int, _Waiting] = {}
-        self._unread: dict[int, _Unread] = {}
+        self._unread = defaultdict[int, _Unread](_Unread)
         self._latest: dict[int, Frames] = {}
-        self._backlog, self._others = Backlog(), Backlog()  # of vehicles that nobody contests (kept), and of the others
-        self._kept = np.zeros(256, np.bool_)
+        self._backlog = Backlog()  # of vehicles that nobody contests
         self.vehicles: dict[int, VehicleStream] = {}
 
     @property
@@ -404,23 +402,18 @@ class LinkDecoder:
         few = 2 * self.decoder.garbage_bytes <= self.decoder.size
         return "" if few or self.vehicles else "bytes come that are no MAVLink frames: is the baud rate the vehicle's?"
 
-    def count(self, sysid: int) -> LinkCount:
-        """What came from one vehicle's autopilot so far."""
-        return self.decoder.heard.count(sysid << 8 | AUTOPILOT) or LinkCount()
+    def count(self, sysid: int, compid: int = AUTOPILOT) -> LinkCount:
+        """What came from a vehicle's autopilot, or another sender, so far."""
+        return self.decoder.heard.count(sysid << 8 | compid) or LinkCount()
 
     def sources_since(self, host_ns: int) -> list[Source]:
         """Where the vehicles are heard from whose autopilots were heard at this time or later [ns]."""
-        heard, keys = self.decoder.heard, (sysid << 8 | AUTOPILOT for sysid in self.vehicles)
-        return list(dict.fromkeys(heard.source(key) for key in keys if heard.heard_ns(key) >= host_ns))
+        counts = map(self.count, self.vehicles)
+        return list(dict.fromkeys(count.source for count in counts if count.heard_ns >= host_ns))
 
     def source(self, sysid: int, compid: int = AUTOPILOT) -> Source:
         """Where a vehicle's autopilot, or another sender, is heard from; None on a link with one other end."""
         return self.decoder.heard.source(sysid << 8 | compid)
-
-    def strangers(self, sysid: int) -> tuple[Intruder | None, Intruder | None]:
-        """Who else sends as a vehicle's autopilot, and who in our name as its on-board computer; None for nobody."""
-        heard = self.decoder.heard
-        return heard.intruder(sysid << 8 | AUTOPILOT), heard.impostor(sysid << 8 | Component.ONBOARD_COMPUTER)
 
     def claim(self, sysid: int, *, ours: bool) -> None:
         """Hear nobody else as a vehicle's on-board computer, or let others be it."""
@@ -434,49 +427,46 @@ class LinkDecoder:
     def take(self, some: Datagrams, now_ns: int) -> None:
         """Take what `feed` does; what is for or from vehicles that have entered waits for `received`."""
         frames = self.decoder.take(some, datagrams=self._datagrams)
-        if len(frames):
-            self._file(frames, now_ns)
-            self._take_talk(_talk(frames))
-
-    def _file(self, frames: Frames, now_ns: int) -> None:
-        """Put frames where their vehicles' wait; see which others may enter."""
-        for sysid in (
-            key >> 8 for key in self.decoder.heard.clashed if key & 0xFF == AUTOPILOT and self._kept[key >> 8]
-        ):
-            self._kept[sysid] = False
-            self._unread.setdefault(sysid, _Unread()).pieces.append(self._backlog.take(sysid))
-        kept = self._kept[frames.rows["sender"] >> 8]
-        whole = np.count_nonzero(kept) == len(kept)
-        self._backlog.put(frames if whole else frames.where(kept))
-        if whole:
+        if not len(frames):
             return
-        self._others.put(frames.where(~kept))
-        for sysid, own in self._others.take_all():
-            if not sysid or self._only not in (None, sysid):
-                continue
-            pieces = self._uncontested(sysid, own)
-            if sysid not in self.vehicles:
-                pieces = self._enter(sysid, pieces, now_ns)
-            if sysid in self.vehicles:
-                self._unread.setdefault(sysid, _Unread()).pieces += pieces
+        clashed = {key >> 8 for key in self.decoder.heard.clashed if key & 0xFF == AUTOPILOT}
+        for sysid in clashed.intersection(self.vehicles):  # what waits came before
+            self._unread[sysid].pieces.append(self._backlog.take(sysid))
+        self._backlog.put(frames)
+        others = [sysid for sysid in self._backlog.sysids if sysid not in self.vehicles or sysid in clashed]
+        for sysid in others:
+            self._file(sysid, self._backlog.take(sysid), sysid in clashed, now_ns)
+        if others:
+            self._backlog.make_room()
+        self._take_talk(_talk(frames))
+
+    def _file(self, sysid: int, frames: Frames, clashes: bool, now_ns: int) -> None:
+        """Let frames wait without those that two senders claim; see whether a vehicle may enter."""
+        if not sysid or self._only not in (None, sysid):
+            return
+        pieces = self._uncontested(sysid, frames) if clashes else [frames]
+        if sysid not in self.vehicles:
+            pieces = self._enter(sysid, pieces, now_ns)
+        if sysid in self.vehicles:
+            self._unread[sysid].pieces += pieces
 
     def _take_talk(self, frames: Iterable[Frame]) -> None:
         """Hand out what is asked of on-board computers, at most `REQUESTS_MAX` to each; note who wants an answer."""
         for frame in frames:
             sysid = asked_of(frame)
             if sysid is not None and sysid in self.vehicles:
-                unread = self._unread.setdefault(sysid, _Unread())
+                unread = self._unread[sysid]
                 unread.asked += [frame] if len(unread.asked) < REQUESTS_MAX else []
                 unread.urgent = True
             elif frame.msgid == MessageId.TIMESYNC and frame.sysid in self.vehicles:
-                self._unread.setdefault(frame.sysid, _Unread()).urgent = True
+                self._unread[frame.sysid].urgent = True
 
     def received(self, sysid: int) -> Received:
         """What waits of a vehicle that has entered."""
         unread, stream = self._unread.pop(sysid, _Unread()), self.vehicles[sysid]
         frames = frames_joined([*unread.pieces, self._backlog.take(sysid)])
         talk = _talk(frames)
-        alive = bool(np.count_nonzero(frames.rows["sender"] & 0xFF == AUTOPILOT))
+        alive = bool((frames.rows["sender"] & 0xFF == AUTOPILOT).any())
         telemetry = stream.step(frames, talk)
         told = (acks_in(talk), stream.parameters, stream.profile.imu, stream.sensor, mode_in(talk), sticks_in(talk))
         return Received(telemetry, alive, stream.state.timeline.reboots, *told, tuple(unread.asked), talk)
@@ -492,10 +482,7 @@ class LinkDecoder:
 
     def _uncontested(self, sysid: int, frames: Frames) -> list[Frames]:
         """Without the autopilot's frames that two senders claim; then the latest one waits for what may contest it."""
-        contested = self.decoder.heard.contested(sysid << 8 | AUTOPILOT)
-        if contested is None:
-            return [frames]
-        sound = []
+        contested, sound = self.decoder.heard.contested(sysid << 8 | AUTOPILOT), []
         for piece in (self._latest.pop(sysid, NO_FRAMES), frames):
             rows = piece.rows
             sound.append(piece.where((rows["sender"] & 0xFF != AUTOPILOT) | ~np.isin(rows["seq"], contested)))
@@ -524,7 +511,6 @@ class LinkDecoder:
         waiting.checked_ns, profile = now_ns, self._profile
         if refused := refusal(waiting.kind[0]):
             waiting.reason = refused
-            waiting.forget()
             return []
         if profile is None:
             shown = frames_joined([frames_of([waiting.beat]), *waiting.pieces])
@@ -535,7 +521,6 @@ class LinkDecoder:
         self.vehicles[sysid] = VehicleStream(profile, waiting.kind[0])
         self.decoder.heard.keep(sysid << 8 | AUTOPILOT)
         del self._waiting[sysid]
-        self._kept[sysid] = True
         return waiting.pieces
 
     def _may_enter(self, sysid: int, waiting: _Waiting, waited_s: float) -> bool:
@@ -547,6 +532,5 @@ class LinkDecoder:
             return False
         if len(self.vehicles) >= self._most:
             waiting.reason = f"there are {self._most} vehicles already (max_vehicles)"
-            waiting.forget()
             return False
         return True

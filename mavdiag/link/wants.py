@@ -6,11 +6,11 @@ MAVLink modes (mavlink_main.cpp) and the logging masks of both. Sans-I/O: what c
 """
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 
 from mavdiag.link.codec import Encoder
-from mavdiag.link.messages import Autopilot, Component, MavCmd, MavType, MessageId
+from mavdiag.link.messages import Autopilot, Component, MavType, MessageId
 from mavdiag.link.profiles import LAST_RESORT, Profile
 from mavdiag.link.samples import sources
 from mavdiag.link.signing import Signing
@@ -143,7 +143,6 @@ def log_remedy(profile: str, signal: Signal) -> str:
 
 
 BEAT_S = 1.0
-AGAIN_S, TRIES = 1.5, 2  # a stream that has not come by then is asked for once more (our choice)
 STANDBY, MAVLINK_VERSION = 3, 3  # MAV_STATE; of a heartbeat
 _BATCH, _PAUSE_S, _NAME_TRIES = 4, 0.2, 3  # parameters at a time, how far apart, and tries of each (our choices)
 _ROTORS_MAX = 12
@@ -191,29 +190,12 @@ class Companion(Encoder):
     def __init__(self, vehicle: int, signing: Signing | None = None) -> None:
         super().__init__(vehicle, Component.ONBOARD_COMPUTER, signing)
         self._autopilot = (vehicle, Component.AUTOPILOT1)
+        self._beat: Instant | None = None
 
     def heartbeat(self, status: int = STANDBY) -> bytes:
         """HEARTBEAT. status: MAV_STATE."""
         kinds = (MavType.ONBOARD_CONTROLLER, Autopilot.INVALID)
         return self.encode(MessageId.HEARTBEAT, *kinds, 0, 0, status, MAVLINK_VERSION)
-
-    def command(self, number: int, *parameters: float, confirmation: int = 0) -> bytes:
-        """A command (MAV_CMD) to the autopilot. confirmation: how often it was sent before."""
-        return self.encode(MessageId.COMMAND_LONG, *self._autopilot, number, confirmation, *parameters)
-
-    def read(self, name: str) -> bytes:
-        """PARAM_REQUEST_READ of one of the autopilot's parameters."""
-        return self.encode(MessageId.PARAM_REQUEST_READ, *self._autopilot, name, -1)
-
-
-class Asker(Companion):
-    """Asks one vehicle for what a diagnosis needs. streams: tries and the time of the last one, by message."""
-
-    def __init__(self, vehicle: int, signing: Signing | None = None) -> None:
-        super().__init__(vehicle, signing)
-        self._beat: Instant | None = None
-        self._reading = Reading()
-        self.streams: dict[int, tuple[int, Instant]] = {}
 
     def beat(self, now: Instant) -> list[bytes]:
         """A heartbeat each second."""
@@ -222,17 +204,10 @@ class Asker(Companion):
         self._beat = now
         return [self.heartbeat()]
 
-    def read_all(self, autopilot: int, known: Mapping[str, float], now: Instant) -> list[bytes]:
-        """The parameters that tell rotors and filter, until they are known. known: those that came."""
-        return [self.read(name) for name in self._reading.step(telling(autopilot, known), known, now)]
+    def command(self, number: int, *parameters: float, confirmation: int = 0) -> bytes:
+        """A command (MAV_CMD) to the autopilot. confirmation: how often it was sent before."""
+        return self.encode(MessageId.COMMAND_LONG, *self._autopilot, number, confirmation, *parameters)
 
-    def stream(self, wants: Sequence[Want], rates_hz: Mapping[int, float], now: Instant) -> list[bytes]:
-        """The streams that do not come, or too slowly. rates_hz: of what comes, by message."""
-        frames = []
-        for want in wants:
-            tries, at = self.streams.get(want.msgid, (0, now))
-            due = tries == 0 or (tries < TRIES and now - at >= AGAIN_S)
-            if rates_hz.get(want.msgid, 0.0) < want.least_hz and due:
-                self.streams[want.msgid] = (tries + 1, now)
-                frames.append(self.command(MavCmd.SET_MESSAGE_INTERVAL, want.msgid, round(1e6 / want.ask_hz)))
-        return frames
+    def read(self, name: str) -> bytes:
+        """PARAM_REQUEST_READ of one of the autopilot's parameters."""
+        return self.encode(MessageId.PARAM_REQUEST_READ, *self._autopilot, name, -1)

@@ -26,7 +26,7 @@ from mavdiag.link.messages import Autopilot, Component, MavCmd, MavResult, MavTy
 from mavdiag.link.parameters import parameters_in
 from mavdiag.link.profiles import PROFILES, scale_doubt
 from mavdiag.link.scale import gyro_checks
-from mavdiag.link.sequence import FRAME, HEARD, SENDERS_MAX, Intruder, Senders, Source
+from mavdiag.link.sequence import FRAME, HEARD, SENDERS_MAX, Senders, Source
 from mavdiag.link.vehicles import Ack, Command, LinkDecoder, command_in
 from mavdiag.logs.tlog import read_tlog, tlog_record, vehicle_stream
 from mavdiag.telemetry import FloatArray, Instant, Series, Signal
@@ -229,12 +229,13 @@ def test_a_second_source_is_not_heard_while_the_first_is_alive() -> None:
     senders = Senders()
     for seq, at_s, source in ((0, 0, HERE), (1, 1, THERE), (1, 2, HERE), (2, 4, THERE)):
         assert heard(senders, KEY, seq, at_s * S, source) is (source == HERE)
-    assert (count := senders.count(KEY)) is not None
-    assert (senders.source(KEY), senders.intruder(KEY), count.received) == (HERE, Intruder(THERE, 2), 2)
+    (count,) = senders.counts().values()
+    assert (count.source, count.received, count.intruder, count.refused, count.ours) == (HERE, 2, THERE, 2, False)
     senders.claim([KEY])  # also of one that was heard before
-    assert (heard(senders, KEY, 3, 3 * S, HERE), senders.impostor(KEY)) == (False, Intruder(HERE, 3))
+    assert not heard(senders, KEY, 3, 3 * S, HERE)
+    assert [(one.intruder, one.refused, one.ours) for one in senders.counts().values()] == [(HERE, 3, True)]
     senders.claim([KEY], ours=False)
-    assert (heard(senders, KEY, 3, 3 * S, HERE), senders.impostor(KEY)) == (True, None)
+    assert heard(senders, KEY, 3, 3 * S, HERE)
 
 
 def test_running_numbers_of_one_sender_follow_on() -> None:

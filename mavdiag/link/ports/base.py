@@ -7,7 +7,7 @@ import time
 from abc import abstractmethod
 from collections.abc import Callable, Collection, Iterable, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TypeAlias
 
 from mavdiag.errors import LinkError
@@ -57,21 +57,16 @@ class Endpoint(AbstractContextManager["Endpoint"]):
 
     address: in the notation of `open_endpoint`, with the port that was really bound.
     datagrams: whether a chunk is a datagram, so that what it leaves unfinished must not be joined to the next one.
-    absent: why the other end could not be reached the last time that it was tried, in one line.
+    absent: why the other end could not be reached the last time that it was tried, in one line. traffic: so far.
     """
 
     datagrams = False
     absent = ""
 
     def __init__(self, address: str) -> None:
-        self.address, self._count = address, Traffic()
+        self.address, self.traffic = address, Traffic()
         self._trust: Sequence[SocketAddress] = ()
         self._alone = False
-
-    @property
-    def traffic(self) -> Traffic:
-        """The counts so far."""
-        return replace(self._count)
 
     @property
     @abstractmethod
@@ -87,12 +82,8 @@ class Endpoint(AbstractContextManager["Endpoint"]):
         until = time.monotonic() + timeout_s
         while not (chunks := self._drain()) and (left := until - time.monotonic()) > 0:
             wait([self], min(left, RETRY_S))
-        self._count.received += len(chunks)
+        self.traffic.received += len(chunks)
         return chunks
-
-    def overflow(self) -> None:
-        """Count a chunk that was received and is thrown away."""
-        self._count.overflowed += 1
 
     def trust(self, sources: Collection[SocketAddress], *, alone: bool) -> None:
         """Name the senders that a flood of strangers must not hide. alone: only they are answered."""
@@ -190,8 +181,8 @@ class Reconnecting(Endpoint):
     def send(self, data: bytes) -> None:
         """Send one message whole, or drop and count it."""
         taken = self._stream is not None and self._stream.write(data)
-        self._count.sent += taken
-        self._count.dropped += not taken
+        self.traffic.sent += taken
+        self.traffic.dropped += not taken
 
     def close(self) -> None:
         """Close the stream for good."""

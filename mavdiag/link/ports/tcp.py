@@ -107,8 +107,8 @@ class TcpServer(Endpoint):
 
     def _write(self, data: bytes, clients: list[_Client]) -> None:
         taken = [client.write(data) for client in clients]
-        self._count.sent += taken.count(True)
-        self._count.dropped += taken.count(False) if taken else 1
+        self.traffic.sent += taken.count(True)
+        self.traffic.dropped += taken.count(False) if taken else 1
 
     def close(self) -> None:
         """Stop listening and hang up on every client."""
@@ -124,7 +124,7 @@ class TcpServer(Endpoint):
         for client in list(self._clients):
             data = client.take(_SHARED_BYTES // len(self._clients))
             if data is None:
-                self._count.turned_away += client.stuffed
+                self.traffic.turned_away += client.stuffed
                 self._hang_up(client)
             elif data:
                 chunks.append((data, time.monotonic_ns()))
@@ -139,7 +139,7 @@ class TcpServer(Endpoint):
                 return
             if len(self._clients) >= CLIENTS_MAX:
                 idle = min(self._clients, key=lambda one: (one.name in self._trust, one.heard_s))
-                self._count.turned_away += 1
+                self.traffic.turned_away += 1
                 if idle.name in self._trust or time.monotonic() - idle.heard_s < IDLE_S:
                     link.close()
                     continue

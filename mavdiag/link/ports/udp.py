@@ -129,7 +129,7 @@ class _Udp(Endpoint):
     def _read(self, link: socket.socket, pieces: list[Datagrams], units: float) -> float:
         """Take what is there, as far as so many units allow; returns how many are left."""
         account, place = _account(link), link.fileno()
-        self._count.overflowed += account[_DROPS] - self._lost.get(place, 0)
+        self.traffic.overflowed += account[_DROPS] - self._lost.get(place, 0)
         self._lost[place] = account[_DROPS]
         if link.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
             self._refused()
@@ -185,13 +185,13 @@ class UdpIn(_Udp):
 
     def _send_to(self, data: bytes, peers: list[SocketAddress]) -> None:
         told = [peer for peer in peers if peer in self._trusted or not self._alone]
-        self._count.dropped += not told
+        self.traffic.dropped += not told
         for peer in told:
             try:
                 self._socket.sendto(data, peer)
-                self._count.sent += 1
+                self.traffic.sent += 1
             except OSError:  # a full buffer, no route, too long, closed: the datagram is gone either way
-                self._count.dropped += 1
+                self.traffic.dropped += 1
 
     def close(self) -> None:
         """Close the sockets."""
@@ -258,22 +258,22 @@ class UdpOut(_Udp):
         for _ in range(2):
             try:
                 self._socket.send(data)
-                self._count.sent += 1
+                self.traffic.sent += 1
                 return
             except ConnectionRefusedError:
                 self._refused()
             except OSError:  # a full buffer, no route, too long, closed
                 break
-        self._count.dropped += 1
+        self.traffic.dropped += 1
 
     def _note_senders(self, peers: Iterable[SocketAddress]) -> None:
         self._answered = True
 
     def _refused(self) -> None:
         self._answered = False
-        if self._count.sent:
-            self._count.sent -= 1
-            self._count.dropped += 1
+        if self.traffic.sent:
+            self.traffic.sent -= 1
+            self.traffic.dropped += 1
 
 
 def _account(link: socket.socket) -> tuple[int, ...]:
