@@ -56,7 +56,7 @@ class Answer:
         if not (np.isfinite(means).all() and (means[COMMAND] == 1.0).all()):
             return
         rates = means[:COMMAND] - means[:COMMAND].mean(axis=1, keepdims=True)
-        spectra = rates @ _waves(means.shape[1], step_s)
+        spectra = np.einsum("rk,kf->rf", rates, _waves(means.shape[1], step_s))  # no product that BLAS threads
         S = (spectra[:2].conj() * spectra[2:]).sum(axis=0)
         u_power, y_power = np.square(np.abs(spectra)).reshape(2, 2, -1).sum(axis=1)
         if u_power.sum() >= LEAST_RAD_S**2:
@@ -65,7 +65,8 @@ class Answer:
 
 def delay_of(sums: FloatArray) -> float:
     """The delay [s]; nan where too few windows tell, or they tell of none."""
-    agreement, size = (SHIFTS @ (sums[0] + 1j * sums[1])).real, math.sqrt(sums[2].sum() * sums[3].sum())
+    agreement = np.einsum("df,f->d", SHIFTS, sums[0] + 1j * sums[1]).real
+    size = math.sqrt(sums[2].sum() * sums[3].sum())
     best = int(agreement.argmax())
     return float(DELAYS_S[best]) if sums[4, 0] >= FEWEST and agreement[best] >= LEAST_R * size > 0.0 else math.nan
 
