@@ -19,6 +19,7 @@ from mavdiag.decision.diagnosis import Change, Diagnosis, Event
 from mavdiag.decision.grading import known_fault_types
 from mavdiag.errors import BaselineError, InputError
 from mavdiag.kernel import LOOK_NS, Account, Kernel, Memory, Piece, Slot
+from mavdiag.kernel import warm as warm_kernel
 from mavdiag.link.samples import joined
 from mavdiag.link.samples import warm as warm_samples
 from mavdiag.monitors import MONITORS, monitor_of
@@ -265,11 +266,9 @@ def _gyro_s(pieces: Sequence[Telemetry]) -> float:
 
 def warm() -> None:
     """Compile what judges (about a minute of processor time), or load it from where it is kept (half a second)."""
+    warm_rows()
     warm_samples()
-    kernel = Kernel((), (), 0.01, 0.02)
-    for part in warm_rows():
-        if isinstance(part, Rows):
-            kernel.step(kernel.start(), part)
+    warm_kernel()
 
 
 def suited(baseline: Baseline, log: Log) -> Baseline:

@@ -694,3 +694,9 @@ def _stretches(before: tuple[Stretch, ...], rows_ns: IntArray, dt_s: float) -> t
         fresh[0] = (before[-1][0], fresh[0][1])
         before = before[:-1]
     return (*before, *fresh)
+
+
+def warm() -> None:
+    """Compile the pass, or load it from where it is kept."""
+    kernel, t_ns = Kernel((), (), 0.01, 0.02), 10_000_000 * np.arange(20)
+    kernel.step(kernel.start(), Rows(col.Block(0, 0.01, t_ns, np.zeros((col.OUTPUTS, len(t_ns)))), t_ns))

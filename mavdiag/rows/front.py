@@ -90,11 +90,11 @@ def _usual_times(t_ns: IntArray) -> IntArray:
     return np.minimum.accumulate(usual_times(t_ns)[::-1])[::-1]
 
 
-def warm() -> tuple[Rows | Border, ...]:
-    """Compile what makes rows, or load it from where it is kept, by a second of a gyro; return its rows."""
+def warm() -> None:
+    """Compile what makes rows, or load it from where it is kept, by a second of a gyro."""
     t_ns = 10_000_000 * np.arange(100)
     telemetry = Telemetry((Series(Signal.BODY_RATE, t_ns, t_ns, np.zeros((100, 3))),))
     measure_grid(telemetry)
     believed(LinkQuality(), telemetry)  # as the first landing asks for
     front = Front(AlignSpec(0.01), GateSpec(), RateSpec.of(0.01, 5))
-    return front.step(front.start(), telemetry)
+    front.step(front.start(), telemetry)

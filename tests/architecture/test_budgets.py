@@ -50,7 +50,7 @@ def test_detector_and_plant_start_without_heavy_imports() -> None:
 
 
 def test_no_import_cycles() -> None:
-    names = {module_name(path): path for path in FILES}
+    names = {".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path for path in FILES}
     graph = dict[str, set[str]]()
     for name, path in names.items():
         found = set[str]()
@@ -61,11 +61,6 @@ def test_no_import_cycles() -> None:
                 found |= {alias.name for alias in node.names}
         graph[name] = found & names.keys() - {name}
     TopologicalSorter(graph).prepare()
-
-
-def module_name(path: Path) -> str:
-    parts = path.relative_to(ROOT).with_suffix("").parts
-    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
 def test_the_tests_that_the_mutation_run_names_are_there() -> None:

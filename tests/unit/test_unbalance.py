@@ -9,7 +9,7 @@ from made_rows import calibrated, example_context, example_rows, read
 from scipy.signal import firwin, freqz
 
 from mavdiag.airframe.balance import Grade, assess_unbalance, grade_named, permissible_unbalance_g_mm, unbalance_g_mm
-from mavdiag.airframe.layout import layout_named
+from mavdiag.airframe.layout import layout_named, layout_of_effects
 from mavdiag.airframe.propellers import PROPELLERS, DamagedPropeller
 from mavdiag.errors import InputError, UsageError
 from mavdiag.monitors.base import Flights
@@ -65,7 +65,6 @@ def spec() -> UnbalanceSpec:
 @pytest.mark.parametrize("unbalance", [0.5, 1.4, 5.52])
 def test_the_figure_is_the_unbalance_that_shakes(spec: UnbalanceSpec, unbalance: float) -> None:
     found = read(Unbalance(spec), shaken(1, unbalance))
-    assert Unbalance(spec).unit == "g mm"
     np.testing.assert_allclose(found.level[found.valid], unbalance, rtol=0.03)
 
 
@@ -77,6 +76,12 @@ def test_the_rotor_is_named_with_sensors_a_millisecond_apart(spec: UnbalanceSpec
     assert (evidence.argmax(axis=1) + 1 == rotor).all()
     first, second = np.sort(evidence, axis=1)[:, [-1, -2]].T
     assert float((first - second).min()) > (0.35 if delay_s else 0.9)
+
+
+def test_a_rotor_in_the_middle_is_never_named(spec: UnbalanceSpec) -> None:
+    five = layout_of_effects("five", [*layout_named("qdrone2").signs, (0.0, 0.0, 1.0)])
+    found = read(Unbalance(replace(spec, layout=five)), shaken(2, 1.4))
+    assert (found.rotors[found.valid].argmax(axis=1) == 1).all()
 
 
 @pytest.mark.parametrize(
@@ -130,9 +135,8 @@ def test_the_statistic_is_the_mean_norm_of_five_seconds() -> None:
 def test_a_still_vehicle_gets_room_of_some_half_a_metre_per_second_squared() -> None:
     flights = [[example_rows(3000, segment=i, vibration=np.full((3000, 3), 0.01))] for i in range(3)]
     monitor, threshold = calibrated(VibrationLevel, flights, example_context())
-    spec = monitor.spec
-    assert spec.healthy == pytest.approx(0.01 * np.sqrt(3))
-    assert 0.3 < threshold.value - spec.healthy < 0.8
+    assert monitor.spec.healthy == pytest.approx(0.01 * np.sqrt(3))
+    assert 0.3 < threshold.value - monitor.spec.healthy < 0.8
 
 
 @pytest.mark.parametrize(("corner", "taps"), [(0.06, 61), (0.15, 25), (0.25, 15)])
