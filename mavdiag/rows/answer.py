@@ -45,22 +45,22 @@ class Answer:
             self._count, done = self._count + stop - done, stop
             if self._count == hop:
                 self._count = 0
-                self._look(stride, step_s)
-                self.delay_s = delay_of(self.sums)
+                self.delay_s = delay_of(self.sums) if self._look(stride, step_s) else self.delay_s
         return self.delay_s < least_s
 
-    def _look(self, stride: int, step_s: float) -> None:
+    def _look(self, stride: int, step_s: float) -> bool:
         """Take another hop into the window of means, and the window into the sums, if its command moves the vehicle."""
         fresh = self._rows.reshape(len(ROWS), -1, stride).mean(axis=2)
         self._means = means = np.concatenate((self._means, fresh), axis=1)[:, -self._means.shape[1] :]
         if not (np.isfinite(means).all() and (means[COMMAND] == 1.0).all()):
-            return
+            return False
         rates = means[:COMMAND] - means[:COMMAND].mean(axis=1, keepdims=True)
         spectra = np.einsum("rk,kf->rf", rates, _waves(means.shape[1], step_s))  # no product that BLAS threads
         S = (spectra[:2].conj() * spectra[2:]).sum(axis=0)
         u_power, y_power = np.square(np.abs(spectra)).reshape(2, 2, -1).sum(axis=1)
-        if u_power.sum() >= LEAST_RAD_S**2:
+        if moves := bool(u_power.sum() >= LEAST_RAD_S**2):
             self.sums += S.real, S.imag, u_power, y_power, np.ones(len(BINS))
+        return moves
 
 
 def delay_of(sums: FloatArray) -> float:
