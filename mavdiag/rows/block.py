@@ -131,6 +131,8 @@ class Block:
         """Rows [first, stop) as a block of their own, of another segment, or settled at another time, if asked."""
         segment = self.segment if segment is None else segment
         settled_ns = self.settled_ns if settled_ns is None else settled_ns
+        if stop - first == len(self.t_ns) and segment == self.segment and settled_ns == self.settled_ns:
+            return self
         t_ns, place = self.t_ns[first:stop], self.first + first
         return Block(segment, self.dt_s, t_ns, self.whole, self.outputs, settled_ns, place)
 
