@@ -17,8 +17,6 @@ from collections import Counter
 from collections.abc import Iterator
 from typing import Any
 
-from pydantic import ValidationError
-
 from mavdiag.airframe.load import airframe_named
 from mavdiag.baseline import Baseline, dump, parse, sealed
 from mavdiag.errors import MavdiagError
@@ -90,7 +88,7 @@ def outcome(raw: Any, log: Log) -> str:
     try:
         baseline = parse(dump(sealed(Baseline.model_validate(raw))))
         return str(judge(log, baseline).verdict)
-    except (ValidationError, MavdiagError):
+    except MavdiagError:
         return "refused"
 
 

@@ -203,7 +203,7 @@ class Baseline(Part, Tabular):
     weak: str = ""  # what its own flights say against it, such as a propeller that broke in one of them
     digest: str = ""  # over all the rest
 
-    if not TYPE_CHECKING:
+    if not TYPE_CHECKING:  # mypy takes the arguments from the fields
 
         def __init__(self, **given: Any) -> None:
             """Raises BaselineError, naming the first field that does not fit."""

@@ -2,9 +2,10 @@
 
 import gc
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from importlib import import_module
+from typing import Any
 
 import pytest
 from hypothesis import settings
@@ -46,3 +47,9 @@ def program(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str])
 def mavdiag(program: Callable[..., Ran]) -> Callable[..., Ran]:
     """`program` of the library's own."""
     return partial(program, "mavdiag.cli")
+
+
+@pytest.fixture(scope="module")
+def chromium(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    with import_module("web_page").browser(tmp_path_factory.mktemp("chromium") / "profile") as driver:
+        yield driver

@@ -16,8 +16,7 @@ DAY_NS = 86_400 * NS_PER_S
 
 def series(share: FloatArray, *, a_session: int = 2, name: str = "unbalance") -> Series:
     """A series with so many flights a session; its threshold is 1."""
-    n = len(share)
-    return Series(name, None, "", 1.0, np.arange(n) // a_session, share)
+    return Series(name, None, "", 1.0, np.arange(len(share)) // a_session, share)
 
 
 def record(

@@ -124,9 +124,8 @@ def windows_of(flight: JudgedFlight, span_s: float, judged_share: float = JUDGED
     if flight.chain is None or not pieces:
         return ()
     blocks, traces = [piece.rows.block for piece in pieces], slot_traces(flight.chain, pieces)
-    of_name = {
-        trace.slot.monitor.name: [one for one in traces if one.slot.key[0] == trace.slot.key[0]] for trace in traces
-    }
+    names = dict.fromkeys(trace.slot.monitor.name for trace in traces)
+    of_name = {name: [one for one in traces if one.slot.monitor.name == name] for name in names}
     deciding = {trace.slot.monitor.name for trace in traces if trace.slot.decides}
     t_ns = np.concatenate([block.t_ns for block in blocks])
     settled = np.concatenate([block.t_ns >= block.settled_ns for block in blocks])

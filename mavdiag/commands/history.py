@@ -114,10 +114,8 @@ def show(
 
         write_atomically(html, history_page(found, now()))
     for overview in found:
-        lines = (
-            [json.dumps(shown.overview_json(overview))] if as_json else [one.text for one in shown.lines_of(overview)]
-        )
-        say(*lines)
+        texts = [line.text for line in shown.lines_of(overview)]
+        say(*([json.dumps(shown.overview_json(overview))] if as_json else texts))
     raise typer.Exit(1 if any(overview.asks for overview in found) else 0)
 
 

@@ -463,6 +463,7 @@ class Timesync:
     """The exchange with one vehicle's autopilot."""
 
     asked_ns: int | None = None  # when a request was sent last (host)
+    open: bool = False  # it has not been answered
     round_trip_s: float | None = None  # of its last answer
 
     def step(self, frames: Iterable[Frame], now_ns: int, *, alive: bool) -> list[TimesyncMessage]:
@@ -476,9 +477,10 @@ class Timesync:
                 tc1_ns, ts1_ns = frame.numbers("tc1", "ts1")
                 if tc1_ns == 0:
                     sent = [TimesyncMessage(now_ns, ts1_ns)]
-                elif ts1_ns == self.asked_ns:
+                elif self.open and ts1_ns == self.asked_ns:  # a second answer tells nothing
+                    self.open = False
                     self.round_trip_s = max(0, frame.host_ns - ts1_ns) / NS_PER_S
         if alive and (self.asked_ns is None or now_ns - self.asked_ns >= EVERY_NS):
-            self.asked_ns = now_ns
+            self.asked_ns, self.open = now_ns, True
             sent.append(TimesyncMessage(0, now_ns))
         return sent

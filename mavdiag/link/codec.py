@@ -304,7 +304,9 @@ class Frames:
 
     def of(self, *msgids: int) -> "Frames":
         """The autopilots' own of some messages."""
-        chosen = np.isin(self.rows["row"], [ROWS[msgid] for msgid in msgids])
+        chosen = np.zeros(len(self), np.bool_)
+        for msgid in msgids:  # `isin` takes three times as long
+            chosen |= self.rows["row"] == ROWS[msgid]
         return self.where(chosen & (self.rows["sender"] & 0xFF == AUTOPILOT))
 
     def counts(self) -> Counter[int]:

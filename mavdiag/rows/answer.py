@@ -45,7 +45,8 @@ class Answer:
             self._count, done = self._count + stop - done, stop
             if self._count == hop:
                 self._count = 0
-                self.delay_s = delay_of(self.sums) if self._look(stride, step_s) else self.delay_s
+                if self._look(stride, step_s):
+                    self.delay_s = delay_of(self.sums)
         return self.delay_s < least_s
 
     def _look(self, stride: int, step_s: float) -> bool:

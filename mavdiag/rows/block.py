@@ -133,8 +133,8 @@ class Block:
         settled_ns = self.settled_ns if settled_ns is None else settled_ns
         if stop - first == len(self.t_ns) and segment == self.segment and settled_ns == self.settled_ns:
             return self
-        t_ns, place = self.t_ns[first:stop], self.first + first
-        return Block(segment, self.dt_s, t_ns, self.whole, self.outputs, settled_ns, place)
+        t_ns = self.t_ns[first:stop]
+        return Block(segment, self.dt_s, t_ns, self.whole, self.outputs, settled_ns, self.first + first)
 
     def known(self, signal: Signal, columns: slice = slice(None)) -> BoolArray:
         """(n,) where the row carries these columns of a signal; nowhere if rows have none for it.

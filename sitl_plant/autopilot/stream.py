@@ -291,10 +291,8 @@ def _battery(due: _Due) -> Columns:
 def _esc_status(due: _Due) -> Columns:
     rpm, n = _groups(integers(due.rpm, 32)), len(due.rows)
     groups = len(rpm) // n
-    index, volts = (
-        np.tile(ESC_GROUP * np.arange(groups), n),
-        np.repeat(due.battery_v[:, None], due.duty.shape[1], axis=1),
-    )
+    index = np.tile(ESC_GROUP * np.arange(groups), n)
+    volts = np.repeat(due.battery_v[:, None], due.duty.shape[1], axis=1)
     return {"time_usec": np.repeat(due.time_usec, groups), "index": index, "rpm": rpm, "voltage": _groups(volts)}
 
 

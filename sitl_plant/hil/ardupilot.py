@@ -9,8 +9,8 @@ number that falls, or another address, means that ArduPilot was started anew: so
 
 import json
 import struct
-from collections import Counter
 from collections.abc import Hashable
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from mavdiag.units import NS_PER_S, RPM
@@ -63,15 +63,22 @@ def answer(row: PlantSamples, current_a: float, outputs: OutputMap) -> bytes:
     return b"\n" + json.dumps(line, separators=(",", ":")).encode() + b"\n"
 
 
-class Lockstep:
-    """One simulation and the autopilot that flies it: that of the newest address.
+@dataclass(slots=True)
+class Counts:
+    """What came in."""
 
-    counts: frames answered for the first time, and resent; restarts of the autopilot; foreign: datagrams that are no
-    servo frame; ignored: frames of an autopilot that another one has replaced.
-    """
+    frames: int = 0  # answered for the first time
+    resent: int = 0  # answered again
+    restarts: int = 0  # of the autopilot
+    foreign: int = 0  # datagrams that are no servo frame
+    ignored: int = 0  # frames of an autopilot that another one has replaced
+
+
+class Lockstep:
+    """One simulation and the autopilot that flies it: that of the newest address."""
 
     def __init__(self, simulation: Simulation, outputs: OutputMap) -> None:
-        self.counts = Counter[str]()
+        self.counts = Counts()
         self._simulation, self._outputs = simulation, outputs
         self._peer: Hashable = None
         self._replaced: Hashable = None
@@ -84,23 +91,23 @@ class Lockstep:
         """The answer to a datagram of `peer`; None for no answer. now_s: any clock that only goes on."""
         frame, counts = servo_frame(data), self.counts
         if frame is None:
-            counts["foreign"] += 1
+            counts.foreign += 1
             return None
         if peer == self._replaced and now_s - self._heard_s < SILENT_S:
-            counts["ignored"] += 1
+            counts.ignored += 1
             return None
         fresh = peer != self._peer
         if fresh:
             self._replaced, self._peer = self._peer, peer
         self._heard_s = now_s
         if frame.number == self._number and not fresh:
-            counts["resent"] += 1
+            counts.resent += 1
             return self._answer
         if self._number is not None and (fresh or frame.number <= self._number):
-            counts["restarts"] += 1
+            counts.restarts += 1
             self._simulation.restart()
         self._number = frame.number
-        counts["frames"] += 1
+        counts.frames += 1
         before = self._simulation.now
         row = self._simulation.step(self._outputs.from_pwm(frame.pwm), 1.0 / frame.rate_hz)
         drawn_as, span_ns = 3600.0 * (row.charge_ah[0] - before.charge_ah[0]), row.t_ns[0] - before.t_ns[0]

@@ -126,19 +126,18 @@ def serve_ardupilot(
         while goes_on():
             received = port.receive(POLL_S)
             for (data, _), peer in zip(received, received.sources, strict=True):
-                foreign = counts["foreign"]
+                foreign = counts.foreign
                 answer = lockstep.feed(data, peer, time.monotonic())
                 if answer is not None:
                     port.answer(answer, peer)
-                elif counts["foreign"] == 1 > foreign:
+                elif counts.foreign == 1 > foreign:
                     what = f"{len(data)} bytes that are no servo frame of ArduPilot"
                     commandline.say(f"ignored {what}, and shall ignore others too", err=True)
     took_s = time.monotonic() - started_s
     typer.echo(
-        f"{simulation.t_s:.1f} s flown in {took_s:.1f} s; "
-        f"{counts['frames']} frames ({counts['frames'] / took_s:.0f}/s), {counts['resent']} answered again, "
-        f"{counts['restarts']} restarts of the autopilot, {counts['foreign']} foreign datagrams, "
-        f"{counts['ignored']} of a replaced autopilot"
+        f"{simulation.t_s:.1f} s flown in {took_s:.1f} s; {counts.frames} frames ({counts.frames / took_s:.0f}/s), "
+        f"{counts.resent} answered again, {counts.restarts} restarts of the autopilot, "
+        f"{counts.foreign} foreign datagrams, {counts.ignored} of a replaced autopilot"
     )
 
 

@@ -258,7 +258,7 @@ def test_a_repeated_frame_is_answered_again_and_not_flown() -> None:
     link, simulation = lockstep()
     link.feed(servo_bytes(0, CLIMB), "a", 0.0)
     first, t_s = link.feed(servo_bytes(1, CLIMB), "a", 0.1), simulation.t_s
-    assert (link.feed(servo_bytes(1, OFF), "a", 1.1), simulation.t_s, link.counts["resent"]) == (first, t_s, 1)
+    assert (link.feed(servo_bytes(1, OFF), "a", 1.1), simulation.t_s, link.counts.resent) == (first, t_s, 1)
     assert answered(link.feed(servo_bytes(2, CLIMB), "a", 1.2))["timestamp"] > answered(first)["timestamp"]
 
 
@@ -268,7 +268,7 @@ def test_a_smaller_count_is_a_restarted_autopilot_and_the_plant_stands_on_the_gr
         high = answered(link.feed(servo_bytes(count, CLIMB), "a", 0.0))
     assert high["position"][2] < -0.05
     low = answered(link.feed(servo_bytes(0, OFF), "a", 0.0))
-    assert (link.counts["restarts"], low["timestamp"]) == (1, pytest.approx(0.001))
+    assert (link.counts.restarts, low["timestamp"]) == (1, pytest.approx(0.001))
     assert low["position"][2] == pytest.approx(0.001, abs=0.002)
 
 
@@ -294,7 +294,7 @@ def test_the_newest_address_flies_and_the_one_it_replaced_is_ignored() -> None:
     assert answered(link.feed(servo_bytes(0, OFF), "new", 0.1))["timestamp"] == pytest.approx(0.001)
     t_s = simulation.t_s
     assert link.feed(servo_bytes(100, CLIMB), "old", 0.2) is None
-    assert (link.counts["ignored"], link.counts["restarts"], simulation.t_s) == (1, 1, t_s)
+    assert (link.counts.ignored, link.counts.restarts, simulation.t_s) == (1, 1, t_s)
     assert link.feed(servo_bytes(1, OFF), "new", 0.3) is not None
     assert link.feed(servo_bytes(101, OFF), "old", 3.0) is not None, "the new one has been silent for 2.7 s"
 
@@ -364,8 +364,7 @@ ARDUPILOT |= {name: name for name in ("hexa-x", "hexa-plus", "octo-x")}
 def test_output_k_is_the_autopilots_motor_k(name: str, autopilot: AutopilotName) -> None:
     """What an output does to roll, pitch and yaw has the sign that ArduHilPilot's frame of that kind says."""
     vehicle = vehicle_named(name)
-    outputs = pilot_of(vehicle, autopilot)[1].rotors
-    effects = np.round(allocation(vehicle)[1:, np.array(outputs) - 1].T, 6)
+    effects = np.round(allocation(vehicle)[1:, np.array(pilot_of(vehicle, autopilot)[1].rotors) - 1].T, 6)
     np.testing.assert_array_equal(np.sign(effects), np.sign(np.round(layout_named(ARDUPILOT[name]).mixing, 6)))
 
 

@@ -60,12 +60,8 @@ FLIGHTS: dict[str, Callable[[], Telemetry]] = {
 of_each_flight = pytest.mark.parametrize("name", FLIGHTS)
 
 
-def unchanged(telemetry: Telemetry) -> Telemetry:
-    return telemetry
-
-
 @cache
-def taught(change: Transform = unchanged, frame: Airframe = FRAME) -> Baseline:
+def taught(change: Transform = lambda telemetry: telemetry, frame: Airframe = FRAME) -> Baseline:
     teachers = [replace(log, telemetry=change(log.telemetry)) for log in healthy(3, SAMPLES)]
     key = " ".join(log.telemetry.digest for log in teachers)
     return kept(f"{frame} {key}", lambda: learn(teachers, LearnOptions(airframe=frame), created=NOW))

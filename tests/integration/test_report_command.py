@@ -3,7 +3,6 @@
 import json
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,7 @@ from screenshots import look_as, open_whole
 from selenium import webdriver
 from shared_data import shared
 from typer.testing import CliRunner
-from web_page import browser, violations
+from web_page import violations
 
 import mavdiag as md
 from mavdiag import cli
@@ -103,12 +102,6 @@ while (walk.nextNode()) {
   found.push([scale * parseFloat(getComputedStyle(at).fontSize), walk.currentNode.textContent.trim().slice(0, 40)]);
 }
 return found.sort((a, b) => a[0] - b[0])[0]"""
-
-
-@pytest.fixture(scope="module")
-def chromium(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    with browser(tmp_path_factory.mktemp("chromium") / "profile") as driver:
-        yield driver
 
 
 @pytest.fixture(scope="module")

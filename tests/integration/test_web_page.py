@@ -14,7 +14,7 @@ from made_session import baseline_for
 from made_vehicle import MadeVehicle, record
 from processes import PATIENCE_S, ended, port_of, running, until
 from processes import process as started
-from web_page import browser, give, look, serving, wait_for
+from web_page import give, look, serving, wait_for
 
 from detector.web.child import ServerProcess
 from mavdiag.decision.diagnosis import Stage
@@ -22,12 +22,6 @@ from mavdiag.link.ports import open_endpoint
 
 pytestmark = pytest.mark.realtime
 HOSTILE = '<img src=x onerror="window.hurt=1"><script>window.hurt=1</script>\u202e{{7*7}}'
-
-
-@pytest.fixture(scope="module")
-def chromium(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    with browser(tmp_path_factory.mktemp("chromium") / "profile") as driver:
-        yield driver
 
 
 @pytest.fixture

@@ -335,8 +335,7 @@ def test_a_flight_by_command_from_the_ground_to_the_ground(profile: str) -> None
     vehicle = in_flight(profile)
     refused = {"px4": MavResult.TEMPORARILY_REJECTED, "ardupilot": MavResult.FAILED, "qdrone2": MavResult.DENIED}
     assert vehicle.order(MavCmd.COMPONENT_ARM_DISARM, 0) == refused[profile]  # not in flight
-    there = degrees(2.0, -1.0)
-    goto = (*PLANT, 6, MavCmd.DO_REPOSITION, 0, 0, -1.0, 0.0, 0.0, NAN, *there, 2.0)
+    goto = (*PLANT, 6, MavCmd.DO_REPOSITION, 0, 0, -1.0, 0.0, 0.0, NAN, *degrees(2.0, -1.0), 2.0)
     assert vehicle.send(MessageId.COMMAND_INT, *goto)[0].fields[1] == MavResult.ACCEPTED
     vehicle.fly(5.0)
     assert vehicle.place == pytest.approx((2.0, -1.0, -2.0), abs=0.15)

@@ -91,8 +91,7 @@ def test_the_page_says_the_verdict_its_evidence_and_where_it_comes_from() -> Non
         assert name in said
     assert "Link quality" in said
     assert "page made 2026-01-01 00:00 UTC by mavdiag" in said
-    since_s = weak().verdict.since_s or math.nan
-    assert f"{since_s - weak().begin_s:.1f} s of the flight" in said
+    assert f"{(weak().verdict.since_s or math.nan) - weak().begin_s:.1f} s of the flight" in said
     late = logged(without(flying(300, 7), (0.0, 1.0), signals=(Signal.BODY_RATE,)))  # second 0 is that of the gyro
     for at_ns, told in ((10**18, "01:46:41 UTC"), (late.telemetry.first_ns, "00:00:02 UTC")):  # a wall clock, too
         assert report_of(replace(late, started_ns=at_ns), whole(), figures=False).utc(0.0) == told
@@ -128,8 +127,7 @@ def test_every_one_of_twelve_rotors_has_its_line() -> None:
 def test_no_text_from_outside_is_markup() -> None:
     log = replace(healthy(1)[0], name=f"{HOSTILE}.tlog", notes=(HOSTILE, "b"), parameters={HOSTILE: 1.0})
     flight_there = report_of(log, whole(), figures=False)
-    frame = whole().airframe
-    outside = whole().model_copy(update={"airframe": replace(frame, name=HOSTILE, layout_basis=HOSTILE)})
+    outside = whole().model_copy(update={"airframe": replace(whole().airframe, name=HOSTILE, layout_basis=HOSTILE)})
     unread = FlightReport(LogVerdict(f"{HOSTILE}/x", Verdict.ERROR, HOSTILE))
     text = flights_page([flight_there, unread], outside, HOSTILE, CREATED)
     page = check(text)

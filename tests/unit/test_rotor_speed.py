@@ -170,8 +170,7 @@ def test_a_law_from_short_pulses_holds_in_a_steady_trim_that_was_not_learnt() ->
         rng, n = np.random.default_rng(seed), 6000
         pulses = np.convolve(rng.standard_normal(n) * (rng.random(n) < 0.01), np.hanning(100), "same")
         outputs = 0.4 * (1 + np.outer(0.05 * pulses + trim, X.mixing[:, 1]) + 0.002 * rng.standard_normal((n, 4)))
-        behind = np.concatenate((outputs[:8], outputs[:-8]))
-        return [example_rows(n, actuator=outputs, rotor_speed=1500.0 * behind)]
+        return [example_rows(n, actuator=outputs, rotor_speed=1500.0 * np.concatenate((outputs[:8], outputs[:-8])))]
 
     (spec,) = RotorSpeed.fit([flight(seed, 0.0) for seed in range(3)], CONTEXT)
     assert abs(spec.law[0] - 1.0) < 2 * np.sqrt(spec.errors[0][0]) < 0.07

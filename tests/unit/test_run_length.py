@@ -84,8 +84,7 @@ def responding(n: int, seed: int, *, noise: float = 0.02, busy: float = 0.2, bia
     """A gyro that follows the commanded rate, with process noise of `noise` rad/s."""
     rng = np.random.default_rng(seed)
     angle = np.asarray(lfilter([0.02], [1, -0.98], np.repeat(rng.normal(0, busy, (n // 100, 3)), 100, axis=0), axis=0))
-    wanted = body_rates(angle)
-    rate = np.asarray(lfilter([0, 0.3], [1, -0.7], wanted, axis=0))
+    rate = np.asarray(lfilter([0, 0.3], [1, -0.7], body_rates(angle), axis=0))
     rate += np.asarray(lfilter([1], [1, -0.7], noise * rng.standard_normal((n, 3)), axis=0))
     return example_rows(n, DT_S, setpoint=angle, rate=rate + bias)
 

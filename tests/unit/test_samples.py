@@ -219,8 +219,7 @@ def test_a_message_is_added_by_one_row() -> None:
     row = Source(MessageId.ATTITUDE_QUATERNION, (Part(Signal.ATTITUDE, "q1", Form.ANGLES),), ("time_boot_ms", MS_32))
     frame = Vehicle().frame(MessageId.ATTITUDE_QUATERNION, 5, *quaternion(0.1, 0.2, 0.3).tolist())
     decoder = SampleDecoder(PROFILES["qdrone2"], table=(*SOURCES, row))
-    telemetry = decoder.step(SampleState(), [frame])
-    np.testing.assert_allclose(telemetry["attitude"].values, [[0.1, 0.2, 0.3]], atol=1e-6)
+    np.testing.assert_allclose(decoder.step(SampleState(), [frame])["attitude"].values, [[0.1, 0.2, 0.3]], atol=1e-6)
 
 
 def test_an_autopilot_is_added_by_one_row() -> None:
@@ -228,8 +227,7 @@ def test_an_autopilot_is_added_by_one_row() -> None:
         return 99 in seen.autopilots
 
     row = replace(PROFILES["px4"], name="made", autopilot=99, recognise=recognise, imu=MessageId.SCALED_IMU)
-    vehicle = Vehicle()
-    frames = [vehicle.frame(MessageId.HEARTBEAT, MavType.QUADROTOR, 99, 0, 0, 4, 3)]
+    frames = [Vehicle().frame(MessageId.HEARTBEAT, MavType.QUADROTOR, 99, 0, 0, 4, 3)]
     assert detect_profile(Evidence().take(frames_of(frames)), (row, *PROFILES.values()))[0] is row
     assert detect_profile(Evidence().take(frames_of(frames)))[0] is None
 

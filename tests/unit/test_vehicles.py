@@ -19,6 +19,7 @@ from detector.component import Handled, Requests
 from detector.relay import DATAGRAM_BYTES, Relay
 from mavdiag.airframe.vehicle_type import MULTIROTORS
 from mavdiag.errors import InputError
+from mavdiag.link.clock import Timesync, TimesyncMessage
 from mavdiag.link.codec import Decoder, Encoder, message_name
 from mavdiag.link.datagrams import as_columns
 from mavdiag.link.link import Link
@@ -151,8 +152,7 @@ def attitudes(sender: Sender, n: int) -> list[tuple[bytes, int]]:
     found = []
     for k in range(n):
         data = sender.heartbeat() if k % 10 == 0 else b""
-        t_ms = 5000 + 100 * k
-        data += sender.encoder.encode(MessageId.ATTITUDE, t_ms, 0.1, 0.2, 0.3, 0.01, 0.02, 0.03)
+        data += sender.encoder.encode(MessageId.ATTITUDE, 5000 + 100 * k, 0.1, 0.2, 0.3, 0.01, 0.02, 0.03)
         found.append((data, (k + 1) * S // 10))
     return found
 
@@ -515,3 +515,14 @@ def test_a_group_that_holds_what_is_needed_is_kept_back_and_noted(target: tuple[
     for number in (1, 12):
         found = handled(group(number, target), 1)
         assert (found.passed, found.answers, len(found.turns)) == ([], [], 1)
+
+
+def test_the_first_answer_to_a_timesync_tells_the_round_trip_and_requests_are_answered() -> None:
+    timesync, encoder = Timesync(), Encoder(1, 1)
+    assert timesync.step((), NS_PER_S, alive=True) == [TimesyncMessage(0, NS_PER_S)]
+    for host_ns in (1_040_000_000, 3 * NS_PER_S):  # a copy comes later
+        answer = Decoder().feed(encoder.encode(MessageId.TIMESYNC, 5, NS_PER_S), host_ns)
+        assert timesync.step(answer, host_ns, alive=True) == []
+        assert timesync.round_trip_s == pytest.approx(0.04)
+    asked = Decoder().feed(encoder.encode(MessageId.TIMESYNC, 0, 77), 4 * NS_PER_S)
+    assert timesync.step(asked, 4 * NS_PER_S, alive=True) == [TimesyncMessage(4 * NS_PER_S, 77)]
